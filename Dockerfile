@@ -10,12 +10,17 @@ RUN apt-get update \
     && apt-get clean && rm -rf /var/lib/apt/lists/*
 RUN python3 -m venv /opt/venv
 WORKDIR /src
-COPY LICENSE README.md pyproject.toml constraints.txt ./
+COPY LICENSE README.md pyproject.toml requirements.lock build.lock bearing-twin.cdx.json ./
 COPY service service
 COPY twin_core twin_core
 COPY adapters adapters
-# The installers are not needed at run time.
-RUN /opt/venv/bin/pip install --no-cache-dir --constraint constraints.txt '.[mqtt,opcua,fleet,report]' \
+COPY deploy/bearing-twin.example.toml deploy/
+# Everything that is downloaded is checked by its hash; the installers are not needed at run time.
+RUN python3 -m venv /opt/build \
+    && /opt/build/bin/pip install --no-cache-dir --require-hashes --requirement build.lock \
+    && /opt/build/bin/python -m hatchling build --target wheel --directory /tmp/wheel \
+    && /opt/venv/bin/pip install --no-cache-dir --require-hashes --requirement requirements.lock \
+    && /opt/venv/bin/pip install --no-cache-dir --no-deps /tmp/wheel/*.whl \
     && /opt/venv/bin/pip uninstall --yes --quiet setuptools pip
 
 # ---- the image ----------------------------------------------------------------------------

@@ -3,10 +3,14 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 DEMO_ARGS ?=
+PYTEST := $(BIN)/python -m pytest
+LOCK := $(BIN)/python -m uv pip compile --quiet --no-header --generate-hashes --constraint constraints.txt \
+	--python-version 3.11 --python-platform x86_64-manylinux_2_28
+SHORT := not timing and not endurance and not laboratory
 # Hundreds of processes load the same modules: each must find them compiled.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: demo demo-fleet test lint docs descriptions clean
+.PHONY: demo demo-fleet check test test-all test-more test-long test-timing seconds lint types house compiled kernels docs descriptions clean lock release pictures
 
 demo: $(VENV)/.installed-run
 	@$(BIN)/bearing-twin demo $(DEMO_ARGS)
@@ -15,17 +19,46 @@ demo: $(VENV)/.installed-run
 demo-fleet: $(VENV)/.installed-fleet
 	@$(BIN)/bearing-twin demo-fleet $(DEMO_ARGS)
 
-# The types are checked on one core while the kernels are compiled on another. Each worker runs services
-# of several processes: more workers than cores make tests of faults and attacks wait for each other.
+# Before each commit: what needs no socket, no other process and no browser.
+check: lint
+	$(PYTEST) --numprocesses=2 -m "not wires and not browser and $(SHORT)"
+
+# The types are checked on one core while another compiles the kernels, and the tests themselves: each
+# worker would do that again. Many tests wait for processes: three workers keep two cores at work.
 test: $(VENV)/.installed-test
-	@$(MAKE) --no-print-directory --jobs=2 lint kernels
-	$(BIN)/python -m pytest --numprocesses=2
+	@$(MAKE) --no-print-directory --jobs=2 lint compiled
+	$(PYTEST) --numprocesses=3
+
+# Before a release: `make test`, and then what takes long; gates of time one by one, on quiet cores.
+test-all: test
+	@$(MAKE) --no-print-directory test-more
+
+test-more: test-long test-timing
+
+test-long: $(VENV)/.installed-test
+	$(PYTEST) --numprocesses=3 -m "not timing and not ($(SHORT))"
+
+test-timing: $(VENV)/.installed-test
+	$(PYTEST) -m timing
+
+# Keeps what the last runs measured as the seconds that the order of the tests follows from.
+seconds:
+	cp build/test-seconds.json tests/seconds.json
 
 lint: $(VENV)/.installed-test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+# Types of the page's modules, with those of the REST answers (npm ci --prefix tests/page).
+types: $(VENV)/bin/python
+	$(BIN)/python -m tools.page_types build/page/api.d.ts
+	tests/page/node_modules/.bin/tsc --project service/web/pages
+
+# The figures that show whether the house is in order: mass, names, words, where features stand.
+house: $(VENV)/bin/python
+	@$(BIN)/python -m tools.house
 
 docs: $(VENV)/.installed-test
 	$(BIN)/python -m sphinx --builder html --fail-on-warning --keep-going --quiet docs build/docs
@@ -38,6 +71,24 @@ descriptions: $(VENV)/.installed-test
 	$(BIN)/python client/generate_documents.py
 	$(BIN)/python -m service.offline.model_schema docs
 
+# What the image installs, with hashes, and what it is: after a change of the dependencies.
+lock: $(VENV)/.installed-test
+	$(BIN)/python -m pip install --quiet uv
+	$(LOCK) pyproject.toml --extra fleet --extra mqtt --extra opcua --extra report --output-file requirements.lock
+	echo hatchling | $(LOCK) - --output-file build.lock
+	$(BIN)/python -m tools.bill_of_materials
+
+# The pictures of README and docs, from the demo: five minutes, with Chromium.
+pictures: $(VENV)/.installed-test
+	$(BIN)/python -m tools.pictures
+
+# As a user installs it: wheel and source archive, hashes, fresh environments, the demo in each.
+release: $(VENV)/.installed-test
+	$(BIN)/python -m tools.try_release
+
+compiled: kernels
+	@$(PYTEST) --collect-only --quiet >/dev/null
+
 kernels: $(VENV)/.installed-test
 	$(BIN)/python -m service warm-up
 
@@ -47,18 +98,18 @@ $(VENV)/bin/python:
 	@$(PYTHON) -m venv $(VENV) || \
 		{ rm -rf $(VENV); echo "No venv module: on Debian install it with 'apt-get install python3-venv'" >&2; exit 2; }
 
-$(VENV)/.installed-run: $(VENV)/bin/python pyproject.toml constraints.txt
+$(VENV)/.installed-run: $(VENV)/bin/python pyproject.toml laboratory/pyproject.toml constraints.txt
 	@echo "Installing into $(VENV) ..." >&2
-	@$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable . >&2
+	@$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[report]' --editable laboratory >&2
 	@touch $@
 
-$(VENV)/.installed-fleet: $(VENV)/bin/python pyproject.toml constraints.txt
+$(VENV)/.installed-fleet: $(VENV)/bin/python pyproject.toml laboratory/pyproject.toml constraints.txt
 	@echo "Installing into $(VENV) ..." >&2
-	@$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[fleet,servers]' >&2
+	@$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[fleet,report,servers]' --editable laboratory >&2
 	@touch $@ $(VENV)/.installed-run
 
-$(VENV)/.installed-test: $(VENV)/bin/python pyproject.toml constraints.txt
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[test]'
+$(VENV)/.installed-test: $(VENV)/bin/python pyproject.toml laboratory/pyproject.toml constraints.txt
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[test]' --editable laboratory
 	@touch $@ $(VENV)/.installed-run $(VENV)/.installed-fleet
 
 clean:

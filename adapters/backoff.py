@@ -2,18 +2,7 @@
 
 
 class Backoff:
-    """Waits in seconds: each twice the one before, up to a limit.
-
-    Parameters
-    ----------
-    first_s, last_s : float
-        The first wait, and the longest.
-
-    Attributes
-    ----------
-    wait_s : float
-        The wait that comes next.
-    """
+    """Waits in seconds: each twice the one before, up to a limit."""
 
     def __init__(self, first_s: float, last_s: float) -> None:
         self._first_s = first_s

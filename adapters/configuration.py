@@ -15,8 +15,10 @@ from pydantic import (
 )
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
+from adapters import AdapterError
 
-class ConfigurationError(ValueError):
+
+class ConfigurationError(AdapterError, ValueError):
     """A setting that the user can mend; the message is one line that names key and value."""
 
 
@@ -56,15 +58,7 @@ def _error(
 
 
 def suggestion(wrong: str, known: Iterable[str]) -> str:
-    """Say what a misspelt name may have meant, or which names there are.
-
-    Parameters
-    ----------
-    wrong
-        The name that was given.
-    known
-        The names that exist.
-    """
+    """Say what a misspelt name may have meant, or which names there are."""
     names = sorted(known)
     close = get_close_matches(str(wrong), names, n=3, cutoff=0.6)
     if close:
@@ -77,6 +71,16 @@ def listed(names: Iterable[str], most: int = 20) -> str:
     every = list(names)
     more = f" and {len(every) - most} more" if len(every) > most else ""
     return ", ".join(every[:most]) + more
+
+
+def first_repeated(names: Iterable[str]) -> str | None:
+    """Give the first name that was there before, or None; in one walk, however many there are."""
+    known: set[str] = set()
+    for name in names:
+        if name in known:
+            return name
+        known.add(name)
+    return None
 
 
 def ascending(limits: tuple[float, float] | None) -> tuple[float, float] | None:

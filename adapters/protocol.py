@@ -1,7 +1,7 @@
 """The protocol that every driver follows.
 
 A driver is an asynchronous context manager that yields batches of samples without end and reports
-its own health. How to add one is described in ``docs/adding-a-driver.md``.
+its own health. How to add one is described in ``docs/develop/adding-a-driver.md``.
 """
 
 from collections.abc import AsyncIterator, Sequence
@@ -35,41 +35,22 @@ class Clock(Protocol):
 
 @dataclass(slots=True)
 class SourceHealth:
-    """How a source is doing.
-
-    Attributes
-    ----------
-    up
-        True while the source answers (Modbus) or sends the frames that are asked for (CAN).
-    detail
-        One line for people: what is wrong, or that all is well.
-    last_good_us
-        Process time of the last good sample; None before the first.
-    polls
-        Completed poll cycles (Modbus) or received frames (CAN).
-    samples
-        Samples handed over.
-    skipped
-        Poll cycles left out because they came too late (Modbus), samples dropped because no one
-        took them (CAN).
-    reconnects
-        Times that a connection was made again after a loss.
-    errors
-        Number of errors by kind.
-    problems
-        What is wrong with single channels, by ``asset/channel``, where the source can tell.
-    """
+    """How a source is doing."""
 
     name: str
     driver: str
+    #: True while the source answers (Modbus) or sends the frames that are asked for (CAN).
     up: bool = False
-    detail: str = "not started"
-    last_good_us: int | None = None
-    polls: int = 0
+    detail: str = "not started"  # one line for people: what is wrong, or that all is well
+    last_good_us: int | None = None  # process time of the last good sample; None before the first
+    polls: int = 0  # completed poll cycles (Modbus) or received frames (CAN)
     samples: int = 0
+    #: Poll cycles left out because they came too late (Modbus), samples dropped because no one took
+    #: them (CAN).
     skipped: int = 0
-    reconnects: int = 0
-    errors: dict[str, int] = field(default_factory=dict)
+    reconnects: int = 0  # times that a connection was made again after a loss
+    errors: dict[str, int] = field(default_factory=dict)  # number of errors by kind
+    #: What is wrong with single channels, by ``asset/channel``, where the source knows.
     problems: dict[str, str] = field(default_factory=dict)
 
     def count_error(self, kind: str) -> None:
@@ -119,20 +100,14 @@ class Driver(Protocol):
 
 @dataclass(frozen=True)
 class DriverSpec:
-    """What the service needs to know of a driver to configure and create it.
+    """What the service needs to know of a driver to configure and create it."""
 
-    Attributes
-    ----------
-    source_model, channel_model, plan_model
-        Configuration models; `plan_model` is None when the driver cannot read a plan.
-    check_function, driver_class
-        Where they are, as ``module:name``: they are imported when they are called, so that a
-        field library is loaded only where it is used.
-    """
-
+    #: Configuration models; `plan_model` is None when the driver cannot read a plan.
     source_model: type[SourceConfig]
     channel_model: type[MeasuredChannel]
     plan_model: type[BaseModel] | None
+    #: Where they are, as ``module:name``: they are imported when they are called, so that a field
+    #: library is loaded only where it is used.
     check_function: str
     driver_class: str
 
@@ -142,15 +117,7 @@ class DriverSpec:
         channels: Sequence[ChannelBinding],
         plans: Sequence[PlanBinding],
     ) -> None:
-        """Check a source with everything bound to it (read the DBC, for example).
-
-        Opens no connection.
-
-        Raises
-        ------
-        ConfigurationError
-            Names the key, the value and what was expected.
-        """
+        """Check a source with all bound to it; opens no connection. Raises `ConfigurationError`."""
         resolve_name(self.check_function)(source, channels, plans)
 
     def create(

@@ -29,18 +29,7 @@ def resistance_from_temperature(temperature_c: float) -> float: ...
 @overload
 def resistance_from_temperature(temperature_c: ArrayLike) -> NDArray[np.float64]: ...
 def resistance_from_temperature(temperature_c: ArrayLike) -> float | NDArray[np.float64]:
-    """Resistance of a PT100.
-
-    Parameters
-    ----------
-    temperature_c
-        Temperature in degC, any shape.
-
-    Returns
-    -------
-    float or ndarray
-        Resistance in ohm, same shape; NaN outside -200 to 850 degC.
-    """
+    """Resistance of a PT100. In ohm and degC, any shape; NaN outside -200 to 850 degC."""
     t = np.asarray(temperature_c, dtype=np.float64)
     ohm = NOMINAL_OHM * _ratio(t)
     return _plain(np.where((t >= LOWEST_C) & (t <= HIGHEST_C), ohm, np.nan))
@@ -51,18 +40,7 @@ def temperature_from_resistance(resistance_ohm: float) -> float: ...
 @overload
 def temperature_from_resistance(resistance_ohm: ArrayLike) -> NDArray[np.float64]: ...
 def temperature_from_resistance(resistance_ohm: ArrayLike) -> float | NDArray[np.float64]:
-    """Temperature of a PT100, exact inverse of `resistance_from_temperature`.
-
-    Parameters
-    ----------
-    resistance_ohm
-        Resistance in ohm, any shape.
-
-    Returns
-    -------
-    float or ndarray
-        Temperature in degC, same shape; NaN for a short circuit or a broken wire.
-    """
+    """Exact inverse of `resistance_from_temperature`; NaN for a short circuit or a broken wire."""
     ohm = np.asarray(resistance_ohm, dtype=np.float64)
     inside = (ohm >= SHORT_CIRCUIT_OHM) & (ohm <= WIRE_BREAK_OHM)
     ratio = np.where(inside, ohm, NOMINAL_OHM) / NOMINAL_OHM

@@ -25,13 +25,7 @@ class UnknownDriverError(ConfigurationError):
 
 
 def driver_spec(name: str) -> DriverSpec:
-    """Look up a driver by its name in the configuration.
-
-    Raises
-    ------
-    UnknownDriverError
-        The message lists the drivers that there are.
-    """
+    """Look up a driver by its name in the configuration. Raises `UnknownDriverError`."""
     try:
         return DRIVERS[name]
     except KeyError:

@@ -8,10 +8,7 @@ from typing import NamedTuple
 
 
 class Quality(IntEnum):
-    """Quality of one sample as the OPC DA byte.
-
-    Below 64 is bad, 64 to 191 uncertain, 192 and above good.
-    """
+    """OPC DA byte of one sample: below 64 is bad, 64 to 191 uncertain, 192 and above good."""
 
     BAD = 0
     CONFIG_ERROR = 4
@@ -59,38 +56,24 @@ def meaning(quality: int) -> str:
 
 
 def is_good(quality: int) -> bool:
-    """Tell whether a value of this quality may be used without reserve."""
+    """Whether a value of this quality may be used without reserve."""
     return quality >= 192
 
 
 def is_bad(quality: int) -> bool:
-    """Tell whether a value of this quality must not be used at all."""
+    """Whether a value of this quality must not be used at all."""
     return quality < 64
 
 
 class Sample(NamedTuple):
-    """One value of one channel.
-
-    Attributes
-    ----------
-    asset, channel
-        Names as in the configuration.
-    time_us
-        Process time at which the value was valid, microseconds since the epoch (UTC).
-    value
-        In the channel's unit; NaN when the quality is bad.
-    quality
-        OPC DA byte, see `Quality`.
-    received_us
-        Process time at which the service received it.
-    """
+    """One value of one channel."""
 
     asset: str
     channel: str
-    time_us: int
-    value: float
-    quality: int
-    received_us: int
+    time_us: int  # process time at which the value was valid, microseconds since the epoch (UTC)
+    value: float  # in the channel's unit; NaN when the quality is bad
+    quality: int  # OPC DA byte, see `Quality`
+    received_us: int  # process time at which the service received it
 
 
 make_sample: Callable[[tuple[str, str, int, float, int, int]], Sample]

@@ -6,31 +6,24 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
+from adapters import AdapterError
 
-class TableFileError(ValueError):
+
+class TableFileError(AdapterError, ValueError):
     """A file that cannot be read as a table; the text is one line for the user."""
 
 
-class RowError(ValueError):
+class RowError(AdapterError, ValueError):
     """A row, or a cell of it, that cannot be used; the others can."""
 
 
 class TableRow(NamedTuple):
-    """One row of a table.
+    """One row of a table."""
 
-    Attributes
-    ----------
-    read
-        How much of the file has been read, from 0 to 1.
-    line
-        Where the row stands.
-    cells
-        By column: text in CSV, numbers in Parquet, where a time stamp is an integer in UTC
-        microseconds, or text if it has no zone. An error where the row is broken.
-    """
-
-    read: float
-    line: int
+    read: float  # how much of the file has been read, from 0 to 1
+    line: int  # where the row stands
+    #: By column: text in CSV, numbers in Parquet, where a time stamp is an integer in UTC
+    #: microseconds, or text if it has no zone. An error where the row is broken.
     cells: Mapping[str, object] | RowError
 
 
@@ -38,24 +31,8 @@ class TableRow(NamedTuple):
 def open_table(path: Path, delimiter: str = ",") -> Iterator[tuple[list[str], Iterator[TableRow]]]:
     """Open a table: Parquet by its suffix, else CSV with a header line.
 
-    Parameters
-    ----------
-    path
-        The file.
-    delimiter
-        Between two cells of CSV.
-
-    Yields
-    ------
-    columns : list of str
-        Their names.
-    rows : iterator of TableRow
-        In order; empty lines are left out.
-
-    Raises
-    ------
-    TableFileError
-        If the file cannot be read, also in the middle of it.
+    Yields the names of the columns, and the rows in order; empty lines are left out. Raises
+    `TableFileError` if the file cannot be read, also in the middle of it.
     """
     is_parquet = path.suffix.lower() in (".parquet", ".pq")
     with _parquet(path) if is_parquet else _csv(path, delimiter) as table:
@@ -74,21 +51,14 @@ def _csv(path: Path, delimiter: str) -> Iterator[tuple[list[str], Iterator[Table
 
 @contextmanager
 def csv_table(
-    binary: BinaryIO, name: str, size: int, delimiter: str
+    binary: BinaryIO,
+    name: str,
+    size: int,
+    delimiter: str,
+    columns_max: int | None = None,
+    cells_max: int | None = None,
 ) -> Iterator[tuple[list[str], Iterator[TableRow]]]:
-    """Read CSV with a header line, in UTF-8 with or without a byte order mark; as `open_table`.
-
-    Parameters
-    ----------
-    binary
-        What is read.
-    name
-        Names it in messages.
-    size
-        Its length in bytes.
-    delimiter
-        Between two cells.
-    """
+    """Read CSV with a header line, in UTF-8 with or without a byte order mark; as `open_table`."""
 
     def lines() -> Iterator[str]:
         for raw in binary:
@@ -99,10 +69,22 @@ def csv_table(
         header = next((cells for cells in reader if any(cell.strip() for cell in cells)), None)
         if header is None:
             raise TableFileError(f"{name}: line 1: empty file; expected a header line")
+        if columns_max is not None and len(header) > columns_max:
+            raise TableFileError(
+                f"{name}: line {reader.line_num}: {len(header)} columns; expected at most "
+                f"{columns_max}: one row for each entry, not one column"
+            )
         columns = [cell.strip() for cell in header]
 
         def rows() -> Iterator[TableRow]:
+            read = 0
             for cells in reader:
+                read += len(cells)
+                if cells_max is not None and read > cells_max:
+                    raise TableFileError(
+                        f"{name}: line {reader.line_num}: more than {cells_max} cells up to here; "
+                        "expected a file in parts"
+                    )
                 if not any(cell.strip() for cell in cells):
                     continue
                 row: Mapping[str, object] | RowError = dict(zip(columns, cells, strict=False))
@@ -152,13 +134,7 @@ def _plain(pa: Any, column: Any) -> list[object]:
 
 
 def load_pyarrow() -> tuple[Any, Any]:
-    """Import pyarrow and its Parquet module.
-
-    Raises
-    ------
-    TableFileError
-        If it is not installed; says how to install it.
-    """
+    """Import pyarrow and its Parquet module. Raises `TableFileError` if it is not installed."""
     try:
         import pyarrow
         import pyarrow.parquet

@@ -46,13 +46,7 @@ LEFT_OUT = {
 
 
 def documents(openapi: dict[str, Any]) -> str:
-    """Python source of the types.
-
-    Parameters
-    ----------
-    openapi
-        The whole description; only what ``SENT`` and ``RECEIVED`` need of it is taken.
-    """
+    """Python source of the types: what ``SENT`` and ``RECEIVED`` need of the description."""
     schemas = openapi["components"]["schemas"]
     sent = needed(schemas, SENT)
     kept = {

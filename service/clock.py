@@ -127,6 +127,13 @@ class ProcessClock:
         wall_s, process_us = self._anchor
         return process_us + round((time.time() - wall_s) * self.rate * MICROSECONDS)
 
+    def at_wall_us(self, time_us: int) -> int:
+        """Process time at a wall time, both in UTC microseconds since the epoch."""
+        if self.rate == 1.0:
+            return time_us
+        wall_s, process_us = self._anchor
+        return process_us + round((time_us - wall_s * MICROSECONDS) * self.rate)
+
     async def sleep(self, process_seconds: float) -> None:
         """Wait for a span of process time, in seconds."""
         await asyncio.sleep(max(process_seconds, 0.0) / self.rate)

@@ -2,7 +2,7 @@
 
 import contextlib
 import os
-import stat
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -48,6 +48,18 @@ def replacing(path: Path, *, binary: bool = False, private: bool = False) -> Ite
         part.unlink(missing_ok=True)
 
 
+def why_not_written(path: Path) -> str | None:
+    """Try whether a file can be put in its place: nothing is left there; None where it can."""
+    place = path.resolve()
+    if os.path.ismount(place):
+        return f"{place} is a mount of its own; expected the folder that it lies in to be mounted"
+    try:
+        with tempfile.TemporaryFile(dir=place.parent):
+            return None
+    except OSError as error:
+        return f"the service cannot write into {place.parent} ({error.strerror})"
+
+
 def make_private_folder(path: Path) -> None:
     """Make a folder, and those above it, for its owner alone; one that is there stays as it is."""
     path.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -56,15 +68,15 @@ def make_private_folder(path: Path) -> None:
 def make_private_file(path: Path) -> None:
     """Make a file, empty when it is new, that only its owner may read.
 
-    Where that is not ours to say nothing changes: who opens the file finds out.
+    Where that is not ours to say nothing changes: who opens the file finds out. A file that is
+    there is not opened: closing it would drop the locks that SQLite holds on it in this process.
     """
     with contextlib.suppress(OSError):
-        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
-        try:
-            if stat.S_ISREG(os.fstat(descriptor).st_mode):
-                os.fchmod(descriptor, 0o600)
-        finally:
-            os.close(descriptor)
+        if path.exists():
+            if path.is_file():
+                path.chmod(0o600)
+        else:
+            os.close(os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600))
 
 
 def _sync_folder(path: Path) -> None:

@@ -1,12 +1,15 @@
 """The twin's compiled kernels, made ready before process time counts."""
 
+from collections.abc import Callable
+
 import numpy as np
+from numba.core import event
 
 from twin_core.bearings import bearing
 from twin_core.forecasting import forecast
 from twin_core.forecasting.envelope import envelope
 from twin_core.identification.data import IdentificationData, IdentificationWindow
-from twin_core.identification.identify import identify
+from twin_core.identification.identify import FitSettings, identify
 from twin_core.identification.posterior import prior_posterior
 from twin_core.initial_state import initial_state
 from twin_core.machine_state import MachineState
@@ -33,20 +36,61 @@ def compile_kernels() -> None:
         np.ones(profile.size, dtype=np.bool_),
     )
     data = IdentificationData((IdentificationWindow(minutes, at_rest=True),))
-    identify(model, data, budget=50)
+    identify(model, data, FitSettings(budget=50))
 
 
-def compile_live_kernels() -> tuple[ThermalModel, OperatingProfile, MachineState]:
+class _Compiling(event.Listener):  # type: ignore[misc]
+    """Is called whenever numba begins to compile a function."""
+
+    def __init__(self, begins: Callable[[], None]) -> None:
+        self._begins = begins
+
+    def on_start(self, _: event.Event) -> None:
+        self._begins()
+
+    def on_end(self, _: event.Event) -> None: ...
+
+
+class _NotCompiledError(Exception):
+    """A kernel is not in the cache."""
+
+
+def load_live_kernels() -> bool:
+    """Load the kernels of the live twin; False where one must be compiled first."""
+
+    def refuse() -> None:
+        raise _NotCompiledError
+
+    try:
+        compile_live_kernels(refuse)
+    except _NotCompiledError:
+        return False
+    return True
+
+
+def compile_live_kernels(
+    begins: Callable[[], None] = lambda: None,
+) -> tuple[ThermalModel, OperatingProfile, MachineState]:
     """Run the kernels of the live twin once: observer and forecast.
 
     Compiling must not happen later, in the middle of polling. What maps and identification need
     more is compiled in processes of their own.
+
+    Parameters
+    ----------
+    begins : callable
+        Called whenever a function begins to be compiled, so not for those in the cache.
 
     Returns
     -------
     model, profile, state
         What they ran on.
     """
+    with event.install_listener("numba:compile", _Compiling(begins)):
+        return _run_live_kernels()
+
+
+def _run_live_kernels() -> tuple[ThermalModel, OperatingProfile, MachineState]:
     model = build_model("default", bearing=bearing("6311"))
     posterior = prior_posterior(model)
     values = model.parameters.values_from_z(posterior.z)

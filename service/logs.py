@@ -12,7 +12,7 @@ _REPEATED_S = 10.0
 
 
 class _Repeated(logging.Filter):
-    """Log a message once in ten seconds: whoever floods the service does not fill its log."""
+    """Log a message once in ten seconds: a client that floods the service does not fill its log."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -62,7 +62,7 @@ def configure_logging(level: str = "info") -> None:
     root = logging.getLogger()
     root.handlers[:] = [handler]
     root.setLevel(level.upper())
-    # These tell of every connection and poll at level info; what matters we log ourselves.
+    # These log every connection and poll at level info; what matters we log ourselves.
     for noisy in ("uvicorn.error", "pymodbus", "can", "alembic", "numba", "httpx2"):
         logging.getLogger(noisy).setLevel(logging.WARNING)
     # Their messages about connections that strangers make and break.

@@ -1,4 +1,4 @@
-"""Tells systemd how the service is: ready, alive, stopping (`sd_notify`).
+"""Reports the state of the service to systemd: ready, alive, stopping (`sd_notify`).
 
 The protocol is one datagram of text, so no library is needed: the small ones have not been kept
 for years, and systemd's own has to be compiled.

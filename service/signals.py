@@ -46,7 +46,7 @@ def leave_threads_behind() -> None:
     """End the process with status 0 if threads still wait for a store that does not answer.
 
     Python itself would wait for them as long as they take. What they were to write was given up,
-    and logged, by whoever waited for it.
+    and logged, by the code that waited for it.
     """
     deadline = time.monotonic() + _THREADS_WALL_S
     for thread in threading.enumerate():

@@ -11,7 +11,7 @@ import structlog
 from anyio import to_thread
 
 from adapters.backoff import Backoff
-from service.domain.errors import TemporaryError
+from service.domain.errors import BearingTwinError, TemporaryError
 
 #: Wall seconds that another service is given to leave the data directory or a port. One that is
 #: stopped needs fifteen at most.
@@ -29,7 +29,7 @@ _log = structlog.get_logger(__name__)
 _Found = TypeVar("_Found")
 
 
-class StoppedError(Exception):
+class StoppedError(BearingTwinError):
     """The service is to stop; there is nothing left to wait for."""
 
 

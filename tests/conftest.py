@@ -1,5 +1,6 @@
 """What all tests share."""
 
+import gc
 import importlib
 import os
 import signal
@@ -8,10 +9,12 @@ from collections.abc import Iterator
 
 import hypothesis
 import pytest
+from leftovers import no_task_left, nothing_left
+from outside import pytest_runtest_call
 from programs import MISSING, commands_for
-from sharing import Sharing, longest_first
-from xdist.remote import Producer
-from xdist.scheduler import Scheduling
+from seconds import Seconds
+
+__all__ = ["no_task_left", "nothing_left", "pytest_runtest_call"]
 
 # One thread of linear algebra in each worker: several workers share the cores, and threads that
 # spin while they wait took ten times the processor time. Programs that tests start have what a
@@ -37,7 +40,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         "--faults",
         choices=("short", "full"),
         default="short",
-        help="full: outages of 60 s and 50 kills, as in docs/reliability.md",
+        help="full: outages of 60 s and 50 kills, as in docs/run/reliability.md",
     )
     group.addoption(
         "--soak-minutes",
@@ -53,19 +56,17 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )
 
 
-def pytest_configure() -> None:
+def pytest_configure(config: pytest.Config) -> None:
     """Let programs under test hear Ctrl-C also when the tests run behind a shell's `&`."""
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    config.pluginmanager.register(Seconds())
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    if "PYTEST_XDIST_WORKER" in os.environ:
-        items[:] = longest_first(items)
-
-
-def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> Scheduling:
-    return Sharing(config, log)
+def pytest_collection_finish() -> None:
+    """Keep all that was collected out of later collections of garbage, of which tests make many."""
+    gc.collect()
+    gc.freeze()
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:

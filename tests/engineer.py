@@ -57,12 +57,12 @@ def go_from_a_run_to_a_forecast(url: str, key: str, asset: str) -> None:
 
 
 def run_the_examples(url: str, key: str) -> None:
-    """The script of docs/client.md and the notebook, as they are printed.
+    """The script of docs/connect/client.md and the notebook, as they are printed.
 
     Of the notebook all but the identification, which a service that identifies by itself, fifty
     times as often as a real one, may refuse.
     """
-    page = (ROOT / "docs" / "client.md").read_text()
+    page = (ROOT / "docs" / "connect" / "client.md").read_text()
     notebook = json.loads((ROOT / "client" / "from-run-to-forecast.ipynb").read_text())
     cells = ["".join(one["source"]) for one in notebook["cells"] if one["cell_type"] == "code"]
     kept = [cell for cell in cells if "client.identify(" not in cell]

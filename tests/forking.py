@@ -40,6 +40,7 @@ def run(order):
     sys.stderr.flush()
     os._exit(status)
 
+print(flush=True)
 for line in sys.stdin:
     child = os.fork()
     if not child:
@@ -61,21 +62,13 @@ class Commands:
             # A process with threads had better not fork.
             env=os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
         )
+        assert self._process.stdout is not None
+        self._process.stdout.readline()  # it has imported everything
 
     def run(
         self, arguments: Sequence[str], folder: Path, environment: Mapping[str, str]
     ) -> "subprocess.CompletedProcess[str]":
-        """Run ``bearing-twin ARGUMENTS`` to its end.
-
-        Parameters
-        ----------
-        arguments
-            Of the command.
-        folder
-            In which it runs.
-        environment
-            All its variables.
-        """
+        """Run ``bearing-twin ARGUMENTS`` to its end."""
         out, error = (Path(self._folder.name, name) for name in ("out", "error"))
         for file in (out, error):
             file.unlink(missing_ok=True)

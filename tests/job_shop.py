@@ -13,7 +13,7 @@ from jumping import work
 
 from adapters.samples import Sample
 from service.alarms import AlarmBook
-from service.bus.stream import Bus
+from service.bus.stream import LiveMessages
 from service.domain.requests import IdentificationRequest
 from service.jobs.history import AssetHistory
 from service.jobs.manager import IdentificationJobs
@@ -38,6 +38,7 @@ class HeldExecutor(Executor):
         self._threads = ThreadPoolExecutor(1)
         self._loop = asyncio.get_running_loop()
         self._releasing: set[asyncio.Future[None]] = set()
+        self._ended = False
 
     def submit(  # type: ignore[override]
         self, function: Callable[[JobOrder], JobResult], order: JobOrder
@@ -50,6 +51,8 @@ class HeldExecutor(Executor):
         def has_computed(inner: "Future[JobResult]") -> None:
             working.close()
             self.computed.set()
+            if self._ended:
+                return
             self._releasing.add(asyncio.ensure_future(release(inner)))
 
         async def release(inner: "Future[JobResult]") -> None:
@@ -63,7 +66,10 @@ class HeldExecutor(Executor):
         return held
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        self._ended = True
         self._threads.shutdown(wait, cancel_futures=cancel_futures)
+        for releasing in self._releasing:
+            releasing.cancel()
 
 
 @dataclass
@@ -76,7 +82,7 @@ class Shop:
     folder: Path
     assets: dict[str, AssetRuntime]
     histories: dict[str, AssetHistory]
-    bus: Bus
+    bus: LiveMessages
     alarms: AlarmBook
     seconds: list[float] = field(default_factory=list)
     managers: list[IdentificationJobs] = field(default_factory=list)

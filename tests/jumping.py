@@ -38,15 +38,7 @@ class _Selector(selectors.DefaultSelector):
 
 
 class JumpingLoop(asyncio.SelectorEventLoop):
-    """See the module.
-
-    Attributes
-    ----------
-    passed_s
-        What its clock shows: jumps, and seconds in which it waited.
-    working
-        Threads and others that may still answer.
-    """
+    """See the module."""
 
     def __init__(self) -> None:
         self.passed_s = 0.0
@@ -85,15 +77,7 @@ def work() -> Iterator[None]:
 
 
 class LoopClock:
-    """Process time of the running loop; a `ProcessClock` for tests whose clock jumps.
-
-    Parameters
-    ----------
-    rate
-        Process seconds per second of the loop.
-    start_us
-        Process time at the beginning.
-    """
+    """Process time of the running loop; a `ProcessClock` for tests whose clock jumps."""
 
     def __init__(self, rate: float, start_us: int) -> None:
         self.rate = rate

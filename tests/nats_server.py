@@ -1,26 +1,24 @@
 """A real NATS server for the tests, from a package: nothing need be installed beside it."""
 
+import asyncio
 import socket
 import subprocess
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+import time
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
+from contextlib import asynccontextmanager, contextmanager
 from pathlib import Path
+from typing import Any
 
 from processes import free_port, wait_until
 from programs import missing
 
 TOKEN = "of-the-tests"
+PATIENCE_S = 60.0
 
 
 class NatsServer:
-    """One server on this machine that can be killed and started again.
-
-    Attributes
-    ----------
-    url
-        With its token.
-    """
+    """One server on this machine that can be killed and started again."""
 
     def __init__(self) -> None:
         self._program = Path(sys.executable).with_name("nats-server")
@@ -60,3 +58,22 @@ def running_nats() -> Iterator[NatsServer]:
         yield server
     finally:
         server.kill()
+
+
+@asynccontextmanager
+async def at_work(*works: Coroutine[Any, Any, Any]) -> AsyncIterator[list["asyncio.Task[Any]"]]:
+    """Tasks of a bus and of who uses it; all end at the end."""
+    tasks = [asyncio.create_task(work) for work in works]
+    try:
+        yield tasks
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+
+async def until(holds: Callable[[], bool]) -> None:
+    ends_s = time.monotonic() + PATIENCE_S
+    while not holds():
+        assert time.monotonic() < ends_s, "waited for a minute"
+        await asyncio.sleep(0.02)

@@ -7,6 +7,7 @@ import tempfile
 from collections.abc import AsyncIterator, Callable, Coroutine
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -16,9 +17,10 @@ from cryptography.x509.oid import ExtendedKeyUsageOID
 from processes import free_port, wait_until
 
 from adapters.samples import Quality, Sample
-from service.bus.stream import Bus
+from service.bus.stream import LiveMessages
 from service.clock import ProcessClock
 from service.plant.opcua import PERIOD_S
+from service.plant.opcua.certificate import read_identity
 from service.plant.opcua.server import OpcUaPublisher
 from service.plant.protocol import Host
 from service.plant.rounds import PublisherRounds
@@ -91,6 +93,7 @@ async def inside(
     outbox: Outbox,
     host: str = "127.0.0.1",
     assets: dict[str, Any] | None = None,
+    identity: tuple[Path, Path] | None = None,
 ) -> AsyncIterator[Serving]:
     """Serve the tags of bench-1, or of all assets; a host that is not loopback asks for keys."""
     port = free_port()
@@ -102,9 +105,14 @@ async def inside(
         channels_of=lambda asset: (RING,),
         history=store.channel_history,
     )
-    publisher = OpcUaPublisher(section)
+    publisher = OpcUaPublisher(section, identity and partial(read_identity, *identity))
     rounds = PublisherRounds(
-        "opcua", publisher, PERIOD_S, assets or {"bench-1": asset}, Bus(ProcessClock()), host_of_it
+        "opcua",
+        publisher,
+        PERIOD_S,
+        assets or {"bench-1": asset},
+        LiveMessages(ProcessClock()),
+        host_of_it,
     )
     running = asyncio.create_task(rounds.run())
     try:

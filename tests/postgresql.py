@@ -2,6 +2,7 @@
 
 import fcntl
 import signal
+import subprocess
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator
@@ -23,15 +24,10 @@ with warnings.catch_warnings(action="ignore"):  # of a machine without a desktop
 
 
 class PostgreSQL:
-    """One server, on a Unix socket; a database for every test that asks.
-
-    Parameters
-    ----------
-    folder
-        Of its data; a short path, as the socket lies there.
-    """
+    """One server, on a Unix socket (so its folder has a short path); a database for each test."""
 
     def __init__(self, folder: Path) -> None:
+        self.folder = folder
         # The first server on a machine adds a user to it, which two cannot do at once.
         with (Path(tempfile.gettempdir()) / "bearing-twin-tests.lock").open("w") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
@@ -61,6 +57,23 @@ class PostgreSQL:
     def start(self) -> None:
         """Start it again."""
         self.server.start()
+
+    def copy(self, folder: Path) -> None:
+        """Copy all its data, as a backup or a standby that lags has them."""
+        self.stop()
+        # With its owner: as root the server runs as a user of its own.
+        subprocess.run(["cp", "-a", self.server.pgdata, folder], check=True)
+        self.start()
+
+    def fail_over(self, folder: Path) -> None:
+        """Lead its address to another copy of its data; what was there lies in the folder then."""
+        self.stop()
+        place = Path(self.server.pgdata)
+        left = place.with_name(f"{folder.name}-left")
+        place.rename(left)
+        folder.rename(place)
+        left.rename(folder)
+        self.start()
 
     @contextmanager
     def frozen(self) -> Iterator[Callable[[], None]]:

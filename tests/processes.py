@@ -8,15 +8,18 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Self, TypeVar
 
 import httpx2
 
-from service.clock import ProcessClock
-from service.lab.demo.configuration import ASSET, write_configuration
+from service.clock import ProcessClock, rfc3339
+from service.demo.configuration import ASSET, write_configuration
+from service.domain.roles import Role
 from service.security.keys import create_key
 from service.site.settings import load_settings
 from service.store import Store
@@ -26,6 +29,14 @@ STOP_S = 60.0
 TESTS = str(Path(__file__).parent)
 
 Found = TypeVar("Found")
+
+
+#: The service ends a connection that rests for 5 s; a call that takes it at that moment is lost.
+LIMITS = httpx2.Limits(keepalive_expiry=2.0)
+
+
+#: Ports that were given, the newest last: a stand takes several before it listens on the first.
+_GIVEN: deque[int] = deque(maxlen=500)
 
 
 def free_port() -> int:
@@ -38,11 +49,14 @@ def free_port() -> int:
     first = 20_000 + worker % 8 * 1500
     while True:
         port = random.randrange(first, first + 1500)
+        if port in _GIVEN:
+            continue
         with socket.socket() as probe:
             try:
                 probe.bind(("127.0.0.1", port))
             except OSError:
                 continue
+        _GIVEN.append(port)
         return port
 
 
@@ -67,8 +81,8 @@ def hasty(*arguments: str) -> list[str]:
     """
     text = (
         f"import os, sys; os.environ['PYTHONPATH'] = {TESTS!r}; sys.path.insert(0, {TESTS!r}); "
-        "import hasty; from service.app import supervisor; from service.cli import main; "
-        "supervisor.PRELOADED.insert(0, 'hasty'); main()"
+        "import hasty; from service.app import forking; from service.cli import main; "
+        "forking.PRELOADED.insert(0, 'hasty'); main()"
     )
     return [sys.executable, "-c", text, *arguments]
 
@@ -135,6 +149,18 @@ class Command:
             every_s=0.01,
         )
 
+    @contextlib.contextmanager
+    def frozen(self, *sides: str) -> Iterator[None]:
+        """Let sides of a service stand still, and its supervisor, which would end them for that."""
+        still = [self.process.pid, *map(self.side, sides)]
+        for process in still:
+            os.kill(process, signal.SIGSTOP)
+        try:
+            yield
+        finally:
+            for process in reversed(still):
+                os.kill(process, signal.SIGCONT)
+
     def kill_all(self) -> None:
         """Kill the command and all that it started, which may live longer than it."""
         with contextlib.suppress(ProcessLookupError):
@@ -156,27 +182,29 @@ class Command:
 
 
 class Station:
-    """A service with its configuration, and a client with a key for it.
-
-    Parameters
-    ----------
-    folder
-        Of logs and of the data directory.
-    configuration, port
-        The service's configuration file, and the port in it.
-    """
+    """A service with its configuration, and a client with a key for it."""
 
     def __init__(self, folder: Path, configuration: Path, port: int) -> None:
         self.folder, self.configuration, self.port = folder, configuration, port
-        with self.open_store() as store:
-            self.key = create_key(store, "admin").text
+        self.address = f"http://127.0.0.1:{port}"
+        self._keys: dict[str, str] = {}
+        self.key = self.key_of("admin")
         self.service: Command | None = None
         self.client = httpx2.Client(
-            base_url=f"http://127.0.0.1:{port}", headers={"X-API-Key": self.key}, timeout=60
+            base_url=self.address, headers={"X-API-Key": self.key}, timeout=60, limits=LIMITS
         )
 
-    def start_service(self) -> None:
-        self.service = Command(["serve", "-c", str(self.configuration)], self.folder / "serve.log")
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def start_service(self, *under: str) -> Command:
+        """Start the service, by another program with its arguments if need be."""
+        arguments = ["serve", "-c", str(self.configuration)]
+        self.service = Command(arguments, self.folder / "serve.log", under)
+        return self.service
 
     def now_us(self) -> int:
         """The service's process time."""
@@ -187,17 +215,67 @@ class Station:
         settings = load_settings(self.configuration)
         return Store.open(settings.service.database_url, settings.data_dir)
 
+    def key_of(self, role: Role) -> str:
+        """A key of a role, made once."""
+        if role not in self._keys:
+            with self.open_store() as store:
+                self._keys[role] = create_key(store, role).text
+        return self._keys[role]
+
     def get(self, path: str, **parameters: Any) -> Any:
         answer = self.client.get(path, params=parameters)
         assert answer.status_code == httpx2.codes.OK, answer.text
         return answer.json()
 
-    def tags(self) -> dict[str, Any]:
-        tags: dict[str, Any] = self.get(f"/api/v1/assets/{ASSET}/snapshot")["tags"]
+    def push(
+        self, asset: str, client: httpx2.Client | None = None, /, **values: float
+    ) -> httpx2.Response:
+        """Push values that are measured now."""
+        now = rfc3339(self.now_us())
+        samples = [{"channel": name, "time": now, "value": value} for name, value in values.items()]
+        path = f"/api/v1/assets/{asset}/measurements"
+        return (client or self.client).post(path, json={"samples": samples})
+
+    @contextlib.contextmanager
+    def pushing(
+        self, asset: str, values: Callable[[], Mapping[str, float]], every_s: float = 0.5
+    ) -> Iterator[Callable[[], None]]:
+        """Push again and again, whatever becomes of it; gives what ends that."""
+        stop = threading.Event()
+        gateway = httpx2.Client(base_url=self.address, headers=self.client.headers, timeout=3.0)
+
+        def work() -> None:
+            while not stop.wait(every_s):
+                with contextlib.suppress(httpx2.TransportError):
+                    self.push(asset, gateway, **values())
+
+        thread = threading.Thread(target=work)
+        thread.start()
+
+        def end() -> None:
+            stop.set()
+            thread.join()
+
+        try:
+            yield end
+        finally:
+            end()
+            gateway.close()
+
+    def tags(self, asset: str = ASSET) -> dict[str, Any]:
+        tags: dict[str, Any] = self.get(f"/api/v1/assets/{asset}/snapshot")["tags"]
         return tags
 
-    def tag(self, name: str) -> Any:
-        return self.tags()[name]["value"]
+    def tag(self, name: str, asset: str = ASSET) -> Any:
+        return self.tags(asset)[name]["value"]
+
+    def check(self, name: str) -> dict[str, Any]:
+        """A check of the service's readiness; one without status while it is not there."""
+        with contextlib.suppress(httpx2.TransportError):
+            for check in self.client.get("/readyz").json()["checks"]:
+                if check["name"] == name:
+                    return dict(check)
+        return {"name": name, "status": None, "detail": None}
 
     def close(self) -> None:
         self.client.close()

@@ -25,22 +25,16 @@ def needed(package: str, *commands: str) -> str:
     """Path of a program, without which the test is skipped.
 
     The last line of the run names all that is missing; where ``CI`` is set the run then fails.
-
-    Parameters
-    ----------
-    package
-        Of Debian, that brings the program.
-    commands
-        The program's names; the package's by default.
     """
     found = path_of(*(commands or (package,)))
     return found or missing(APT + package)
 
 
-def node_package(name: str) -> Path:
+def node_package(name: str, folder: Path = FOREIGN) -> Path:
     """Folder of a package of Node.js, without which the test is skipped."""
-    found = FOREIGN / "node_modules" / name
-    return found if found.is_dir() else missing("npm ci --ignore-scripts --prefix tests/foreign")
+    found = folder / "node_modules" / name
+    command = f"npm ci --ignore-scripts --prefix tests/{folder.name}"
+    return found if found.is_dir() else missing(command)
 
 
 def missing(command: str) -> NoReturn:

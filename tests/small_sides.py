@@ -82,3 +82,20 @@ def never_ends(
     _note(settings, side, "ready")
     while True:
         signal.pause()
+
+
+def spins(
+    side: str,
+    settings: Settings,
+    environment: Mapping[str, str],
+    listener: socket.socket | None,
+) -> None:
+    """Get into a loop without an end, the first time; then behave."""
+    if events(settings.service.data_dir, side):
+        behaves(side, settings, environment, listener)
+        return
+    os.environ.update(environment)
+    ServiceManager().ready()
+    _note(settings, side, "ready")
+    while True:
+        pass

@@ -17,6 +17,7 @@ def commands() -> Iterator[Commands]:
     commands.close()
 
 
+@pytest.mark.wires
 @pytest.mark.parametrize(
     ("arguments", "status"),
     [

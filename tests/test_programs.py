@@ -24,6 +24,7 @@ def test_of_a_shell():
 """
 
 
+@pytest.mark.wires
 @pytest.mark.parametrize(("ci", "status"), [("", 0), ("true", 1)])
 def test_what_is_missing_is_named_once_with_the_command_that_installs_it(
     tmp_path: Path, ci: str, status: int

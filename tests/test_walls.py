@@ -25,6 +25,7 @@ PURE = {
     "itertools",
     "math",
     "operator",
+    "statistics",
     "typing",
     "warnings",
 }

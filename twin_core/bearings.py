@@ -10,46 +10,34 @@ import math
 from dataclasses import dataclass
 from itertools import pairwise
 
+from twin_core import TwinCoreError
 from twin_core.materials import BALL_STEEL, RING_STEEL
 
 GROOVE_CONFORMITY = 0.52
 """Raceway groove radius over ball diameter, the usual value for deep groove ball bearings."""
 
 
-class UnknownBearingError(ValueError):
+class UnknownBearingError(TwinCoreError, ValueError):
     """A designation is not in the catalogue."""
 
 
 @dataclass(frozen=True, slots=True)
 class Bearing:
-    """Geometry, static load rating and masses of a deep groove ball bearing.
-
-    Parameters
-    ----------
-    designation
-        Name of the bearing.
-    bore_mm, outer_mm, width_mm
-        Boundary dimensions d, D, B.
-    ball_count, ball_diameter_mm
-        Z and Dw.
-    inner_shoulder_mm, outer_shoulder_mm
-        Shoulder diameter d1 of the inner ring; inside diameter D1 or D2 of the outer ring.
-    static_load_rating_n
-        C0.
-    cage_kg
-        Mass of the (brass) cage.
-    """
+    """Geometry, static load rating and masses of a deep groove ball bearing."""
 
     designation: str
+    #: Boundary dimensions d, D, B.
     bore_mm: float
     outer_mm: float
     width_mm: float
+    #: Z and Dw.
     ball_count: int
     ball_diameter_mm: float
+    #: Shoulder diameter d1 of the inner ring; inside diameter D1 or D2 of the outer ring.
     inner_shoulder_mm: float
     outer_shoulder_mm: float
-    static_load_rating_n: float
-    cage_kg: float
+    static_load_rating_n: float  # C0
+    cage_kg: float  # mass of the (brass) cage
 
     def __post_init__(self) -> None:
         ascending = (
@@ -152,10 +140,8 @@ CATALOGUE: dict[str, Bearing] = {
 def bearing(designation: str) -> Bearing:
     """Return a bearing of the catalogue.
 
-    Raises
-    ------
-    UnknownBearingError
-        If the designation is not in the catalogue; the message names the known ones.
+    Raises `UnknownBearingError` if the designation is not in the catalogue; the message names the
+    known ones.
     """
     try:
         return CATALOGUE[designation.strip()]
@@ -187,21 +173,10 @@ def bearing_from_dimensions(
     inside and 0.86 Dw outside dm, C0 = 14 Z Dw^2 (the mean of the geometry factor f0 of
     ISO 76 for these sections), cage mass 2.25e-4 kg/mm2 dm Dw.
 
-    Parameters
-    ----------
-    designation
-        Name, free.
-    bore_mm, outer_mm, width_mm
-        d, D, B.
-    ball_count, ball_diameter_mm, inner_shoulder_mm, outer_shoulder_mm, static_load_rating_n
-        Z, Dw, d1, D1 or D2 and C0 where the catalogue gives them.
-    cage_kg
-        Mass of the cage where it is known.
-
-    Raises
-    ------
-    ValueError
-        If the dimensions do not make a bearing; names the field, the value and the expectation.
+    `bore_mm`, `outer_mm`, `width_mm`: d, D, B; `ball_count`, `ball_diameter_mm`,
+    `inner_shoulder_mm`, `outer_shoulder_mm`, `static_load_rating_n`: Z, Dw, d1, D1 or D2 and C0
+    where the catalogue gives them. Raises `ValueError` if the dimensions do not make a bearing;
+    names the field, the value and the expectation.
     """
     if not 0.0 < bore_mm < outer_mm:
         raise ValueError(

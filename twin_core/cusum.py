@@ -8,8 +8,6 @@ Statistical Quality Control, section 9.1.3).
 import math
 from dataclasses import dataclass
 
-from scipy.optimize import brentq
-
 # The excess over the boundary at the end, on average.
 _OVERSHOOT = 1.166
 _LONGEST_RUN = 1e12
@@ -17,19 +15,11 @@ _LONGEST_RUN = 1e12
 
 @dataclass(slots=True)
 class Cusum:
-    """Two one-sided sums: how far the values have drifted above and below zero.
+    """Two one-sided sums: how far the values have drifted above and below zero."""
 
-    Attributes
-    ----------
-    allowance : float
-        What each value is excused, in standard deviations: half the shift to be found soonest.
-    ceiling : float
-        No sum grows beyond it, so that it comes down again in time after the shift has gone.
-    high, low : float
-        The present sums.
-    """
-
+    #: What each value is excused, in standard deviations: half the shift to be found soonest.
     allowance: float
+    #: No sum grows beyond it, so that it comes down again in time after the shift has gone.
     ceiling: float
     high: float = 0.0
     low: float = 0.0
@@ -52,12 +42,8 @@ class Cusum:
 def average_run_length(threshold: float, allowance: float, shift: float = 0.0) -> float:
     """Average number of values until one one-sided sum exceeds a threshold.
 
-    Parameters
-    ----------
-    threshold, allowance : float
-        In standard deviations.
-    shift : float
-        Mean of the values, in standard deviations; 0: until a false alarm.
+    `threshold`, `allowance`: in standard deviations; `shift`: mean of the values, in standard
+    deviations; 0: until a false alarm.
     """
     drift = shift - allowance
     reach = threshold + _OVERSHOOT
@@ -69,22 +55,18 @@ def average_run_length(threshold: float, allowance: float, shift: float = 0.0) -
 def threshold_for(run_length: float, allowance: float) -> float:
     """Threshold at which a one-sided sum gives a false alarm once in this many values on average.
 
-    Parameters
-    ----------
-    run_length : float
-        Between 2 and 1e12 values.
-    allowance : float
-        In standard deviations, above 0.
+    `run_length`: between 2 and 1e12 values; `allowance`: in standard deviations, above 0.
     """
     if not (2.0 <= run_length <= _LONGEST_RUN and allowance > 0.0):
         raise ValueError(
             f"run_length {run_length:g}, allowance {allowance:g}: expected 2 to {_LONGEST_RUN:g} "
             "and more than 0"
         )
-    return float(
-        brentq(
-            lambda threshold: average_run_length(threshold, allowance) - run_length,
-            -_OVERSHOOT,
-            (math.log(_LONGEST_RUN) + 10.0) / (2.0 * allowance),
-        )
-    )
+    # Halved until nothing is left between: the length grows with the threshold.
+    low, high = -_OVERSHOOT, (math.log(_LONGEST_RUN) + 10.0) / (2.0 * allowance)
+    while low < (middle := 0.5 * (low + high)) < high:
+        if average_run_length(middle, allowance) < run_length:
+            low = middle
+        else:
+            high = middle
+    return middle

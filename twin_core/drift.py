@@ -30,7 +30,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc
 
 from twin_core.identification.posterior import Posterior
 from twin_core.models import ThermalModel
@@ -60,7 +59,7 @@ CANDIDATES: tuple[Group, ...] = (
     "shaft sink",
     "joints",
 )
-"""What may change on a machine; heat capacities do not, and no sensor tells heat splits apart."""
+"""What may change on a machine; heat capacities do not, and no sensor separates heat splits."""
 
 # Standard deviations of a change, in those of the prior: machines differ more than one changes.
 _CHANGE_SIZES = (0.1, 0.3, 1.0)
@@ -80,17 +79,10 @@ _Z95 = 1.959964
 
 @dataclass(frozen=True, slots=True)
 class Move:
-    """By how much a quantity moved, if one group alone moved.
-
-    Attributes
-    ----------
-    quantity
-        What.
-    change, low, high
-        Relative change (0.1 is +10 %) and its 95 % interval.
-    """
+    """By how much a quantity moved, if one group alone moved."""
 
     quantity: Quantity
+    #: Relative change (0.1 is +10 %) and its 95 % interval.
     change: float
     low: float
     high: float
@@ -106,53 +98,29 @@ class Move:
 
 @dataclass(frozen=True, slots=True)
 class Drift:
-    """Comparison of two posteriors of one machine.
+    """Comparison of two posteriors of one machine."""
 
-    Attributes
-    ----------
-    statistic, dimensions
-        d' S^-1 d over the informed directions, and their number.
-    probability
-        Of so large a statistic without any change.
-    changed
-        Whether that is below the false alarm rate.
-    similarity
-        How alike the operation was.
-    groups
-        Probability of every candidate to be the one that moved, most probable first; they sum to
-        one and mean nothing without a change.
-    moves
-        Of the quantity of each group, were it the one that moved, in the same order.
-    text
-        For people.
-    """
-
+    #: d' S^-1 d over the informed directions, and their number.
     statistic: float
     dimensions: int
-    probability: float
-    changed: bool
+    probability: float  # of so large a statistic without any change
+    changed: bool  # whether that is below the false alarm rate
     similarity: Similarity
+    #: Probability of every candidate to be the one that moved, most probable first; they sum to one
+    #: and mean nothing without a change.
     groups: dict[Group, float]
+    #: Of the quantity of each group, were it the one that moved, in the same order.
     moves: tuple[Move, ...]
     text: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Difference:
-    """The difference of two posteriors along the k directions that both inform.
+class PosteriorDifference:
+    """The difference of two posteriors along the k directions that both inform."""
 
-    Attributes
-    ----------
-    basis
-        (p, k) the directions.
-    value, covariance
-        (k,) and (k, k) the difference of the standard coordinates and its covariance without any
-        change of the machine.
-    similarity
-        How alike the operation was.
-    """
-
-    basis: FloatArray
+    basis: FloatArray  # (p, k) the directions
+    #: (k,) and (k, k) the difference of the standard coordinates and its covariance without any
+    #: change of the machine.
     value: FloatArray
     covariance: FloatArray
     similarity: Similarity
@@ -165,10 +133,12 @@ class Difference:
     @property
     def probability(self) -> float:
         """Of so large a statistic without any change."""
+        from scipy.special import chdtrc  # loaded when the first comparison is made
+
         return float(chdtrc(self.value.size, self.statistic))
 
 
-def difference_of(before: Posterior, after: Posterior, shared: float = 0.0) -> Difference:
+def difference_of(before: Posterior, after: Posterior, shared: float = 0.0) -> PosteriorDifference:
     """Difference of two posteriors of one model; parameters as for `compare`."""
     if not 0.0 <= shared <= 1.0:
         raise ValueError(f"shared is {shared}, expected 0 to 1")
@@ -176,7 +146,9 @@ def difference_of(before: Posterior, after: Posterior, shared: float = 0.0) -> D
     basis = _informed(before.covariance, after.covariance)
     scale = similar.scale * (1.0 + _SHARED_MODEL_ERROR * shared)
     whole = scale * difference_covariance(before.covariance, after.covariance, shared)
-    return Difference(basis, basis.T @ (after.z - before.z), basis.T @ whole @ basis, similar)
+    return PosteriorDifference(
+        basis, basis.T @ (after.z - before.z), basis.T @ whole @ basis, similar
+    )
 
 
 def compare(
@@ -189,22 +161,10 @@ def compare(
 ) -> Drift:
     """Compare two posteriors.
 
-    Parameters
-    ----------
-    model
-        That both belong to.
-    before, after
-        The posteriors, both of fits that did not fail.
-    shared
-        Part of the data of ``before`` that went into ``after`` as well, 0 to 1.
-    point
-        Where quantities are stated; by default `usual_point` of ``before``.
-
-    Raises
-    ------
-    ValueError
-        If a posterior is not of this model or not identified from data, or ``shared`` is out of
-        its range.
+    `before`, `after`: of fits that did not fail; `shared`: part of the data of ``before`` that went
+    into ``after`` as well, 0 to 1; `point`: where quantities are stated; by default `usual_point`
+    of ``before``. Raises `ValueError` if a posterior is not of this model or not identified from
+    data, or ``shared`` is out of its range.
     """
     for posterior in (before, after):
         posterior.check(model)
@@ -266,17 +226,9 @@ def usual_point(model: ThermalModel, posterior: Posterior) -> ReferencePoint:
 def difference_covariance(a: FloatArray, b: FloatArray, shared: float = 0.0) -> FloatArray:
     """Covariance of the difference of two estimates of one machine.
 
-    Parameters
-    ----------
-    a, b
-        (p, p) posterior covariances under a common prior N(0, 1).
-    shared
-        Part of the data behind ``a`` that are behind ``b`` as well.
-
-    Returns
-    -------
-    ndarray
-        (p, p), with a least variance of 1e-3 in every direction.
+    `a`, `b` (p, p) posterior covariances under a common prior N(0, 1); `shared`: part of the data
+    behind ``a`` that are behind ``b`` as well. Returns (p, p), with a least variance of 1e-3 in
+    every direction.
     """
     # what both estimates owe to data that they share, next to the machine itself
     common = shared * (np.eye(a.shape[0]) - a) @ b
@@ -306,21 +258,15 @@ def _log_normal(value: FloatArray, covariance: FloatArray) -> float:
     return float(-0.5 * (value @ np.linalg.solve(covariance, value) + logarithm))
 
 
-def _explained(found: Difference, effect: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+def _explained(
+    found: PosteriorDifference, effect: FloatArray
+) -> tuple[float, FloatArray, FloatArray]:
     """How well a change of some coordinates alone explains a difference, and which change.
 
-    Parameters
-    ----------
-    found
-        k informed directions.
-    effect
-        (k, g) what the g coordinates do to the difference.
-
-    Returns
-    -------
-    evidence, change, covariance
-        Logarithm of the probability density of the difference; mean (g,) and covariance (g, g) of
-        the change. Changes of every size of `_CHANGE_SIZES` count as equally probable.
+    `found`: k informed directions; `effect` (k, g) what the g coordinates do to the difference.
+    Returns `evidence`, `change`, `covariance`: logarithm of the probability density of the
+    difference; mean (g,) and covariance (g, g) of the change. Changes of every size of
+    `_CHANGE_SIZES` count as equally probable.
     """
     weighted = np.linalg.solve(found.covariance, effect)
     evidence, means, covariances = [], [], []

@@ -43,26 +43,16 @@ class Value:
 
 
 @dataclass(frozen=True, slots=True)
-class Reading:
-    """One version of the series.
+class SeriesVersion:
+    """One version of the series."""
 
-    Attributes
-    ----------
-    against
-        Position of the newest unchanged version of most alike operation; None at the first.
-    drift
-        Comparison with it; None at the first.
-    sums
-        Larger of the two cumulative sums of every quantity, with the sign of its direction; by
-        name of the quantity.
-    creeping
-        Names of the quantities whose sum is at its limit.
-    """
-
+    #: Position of the newest unchanged version of most alike operation; None at the first.
     against: int | None
-    drift: Drift | None
+    drift: Drift | None  # comparison with it; None at the first
+    #: Larger of the two cumulative sums of every quantity, with the sign of its direction; by name
+    #: of the quantity.
     sums: dict[str, float]
-    creeping: tuple[str, ...]
+    creeping: tuple[str, ...]  # names of the quantities whose sum is at its limit
 
     @property
     def changed(self) -> bool:
@@ -75,7 +65,7 @@ def values_of(
 ) -> tuple[Value, ...]:
     """Quantities of a posterior with 95 % intervals, without those that have no value.
 
-    Intervals are those of the posterior, the prior's share included: they tell how well a quantity
+    Intervals are those of the posterior, the prior's share included: they show how well a quantity
     is known, not how well a change of it would be seen (that is `twin_core.drift.compare`).
     """
     logarithms = np.log(evaluate(model, posterior.z, point))
@@ -91,20 +81,13 @@ def values_of(
 
 def follow(
     model: ThermalModel, posteriors: Sequence[Posterior], point: ReferencePoint
-) -> tuple[Reading, ...]:
+) -> tuple[SeriesVersion, ...]:
     """Follow a machine over versions that share no data.
 
     Every version is compared with the unchanged ones before it whose operation was most like its
     own. A version at which a change is reported does not join those.
 
-    Parameters
-    ----------
-    model
-        That all belong to.
-    posteriors
-        In time order, of fits that did not fail.
-    point
-        Where quantities are stated.
+    `posteriors`: in time order, of fits that did not fail.
     """
     names = [quantity.name for quantity in quantities(model, point)]
     up, down = np.zeros(len(names)), np.zeros(len(names))
@@ -125,7 +108,7 @@ def follow(
             name for name, size in zip(names, np.abs(larger), strict=True) if size >= LIMIT
         )
         sums = {name: float(size) for name, size in zip(names, larger, strict=True)}
-        readings.append(Reading(chosen[-1] if chosen else None, drift, sums, creeping))
+        readings.append(SeriesVersion(chosen[-1] if chosen else None, drift, sums, creeping))
         if not readings[-1].changed:
             unchanged.append(position)
     return tuple(readings)

@@ -6,8 +6,8 @@ from numpy.typing import ArrayLike
 
 from twin_core.initial_state import initial_state
 from twin_core.models import ThermalModel
-from twin_core.observer import Observer, Step, advance
-from twin_core.profiles import OperatingPoint
+from twin_core.observer import Observation, Observer, advance
+from twin_core.profiles import Point
 from twin_core.simulation import OperatingProfile, SimulationError
 
 
@@ -15,32 +15,17 @@ def begin(
     model: ThermalModel,
     values: ArrayLike,
     readings: Mapping[str, float],
-    point: OperatingPoint,
+    point: Point,
     at_rest: bool,
     past: Sequence[tuple[float, float]] = (),
     revolutions: float = 0.0,
 ) -> Observer:
     """Begin to observe a machine.
 
-    Parameters
-    ----------
-    model, values
-        The model and its parameters (p,).
-    readings
-        Temperatures in degC by sensor or node.
-    point
-        What the machine runs at.
-    at_rest, past
-        See `twin_core.initial_state.initial_state`.
-    revolutions
-        Revolutions since the grease was fresh.
-
-    Raises
-    ------
-    ValueError
-        If a name is unknown or a value not finite.
-    SimulationError
-        If the model runs away.
+    `values` (p,); `readings`: temperatures in degC by sensor or node; `at_rest`, `past`: see
+    `twin_core.initial_state.initial_state`; `revolutions` since the grease was fresh. Raises
+    `ValueError` if a name is unknown or a value not finite, `SimulationError` if the model runs
+    away.
     """
     mean_c, covariance = initial_state(
         model,
@@ -59,24 +44,11 @@ def begin(
 def run_filter(
     observer: Observer, rows: OperatingProfile, readings: Sequence[Mapping[str, float]]
 ) -> Observer:
-    """Advance an observer from the first row to the last; returns it.
+    """Advance an observer, which has begun at the first row, to the last row; returns it.
 
-    Parameters
-    ----------
-    observer
-        Begun at the first row.
-    rows
-        (n,) operating point over time.
-    readings
-        (n,) good readings of each row in degC by sensor or node. Those of the first row are not
-        taken in: the observer has begun with them.
-
-    Raises
-    ------
-    ValueError
-        If there are fewer readings than rows, or a sensor is unknown.
-    SimulationError
-        If the model runs away.
+    `readings` (n,) are the good ones of each row in degC by sensor or node; those of the first row
+    are not used. Raises `ValueError` if there are fewer readings than rows, or a sensor is unknown,
+    `SimulationError` if the model runs away.
     """
     for row, (before, step_s) in enumerate(rows.steps(), start=1):
         observer.predict(step_s, before.speed_rpm, before.load_n, before.ambient_c, before.inputs)
@@ -89,21 +61,13 @@ def run_filters(
 ) -> list[bool]:
     """Advance several observers of the same measurements, each as by `run_filter`.
 
-    Parameters
-    ----------
-    observers, rows, readings
-        As for `run_filter`; the observers differ in their parameters.
-
-    Returns
-    -------
-    list of bool
-        Of which observers the model runs away; their estimates mean nothing.
+    They differ in their parameters. Returns which of them run away; their estimates mean nothing.
     """
     ran_away = [False] * len(observers)
     for row, (before, step_s) in enumerate(rows.steps(), start=1):
         left = [number for number, gone in enumerate(ran_away) if not gone]
         point = (before.speed_rpm, before.load_n, before.ambient_c, before.inputs)
-        step = Step(step_s, *point, readings[row])
+        step = Observation(step_s, *point, readings[row])
         for number, result in zip(
             left, advance([observers[k] for k in left], [step] * len(left)), strict=True
         ):

@@ -39,37 +39,14 @@ def initial_state(
     present operating point, at some unknown moment and with an uncertain level of heat, given
     what the sensors say. If the sensors contradict *at_rest* by more than 3 K, it is ignored.
 
-    Parameters
-    ----------
-    model, values
-        The model and its parameters, shape (p,).
-    measured
-        Readings in degC by sensor or node name; may be empty.
-    ambient_c, speed_rpm, load_n
-        The present operating point.
-    at_rest
-        Whether the machine stood still long enough to have cooled down.
-    past
-        Speeds in rpm and loads in N that the machine is usually run at. With some of them the
-        state may also be one on the way towards each of these, with the present operating point
-        for the last half hour or less: where the duty varies, a body that follows slowly is not on
-        the way to where a momentary load would lead it.
-    inputs
-        The network's inputs at present, (k,).
-
-    Returns
-    -------
-    mean : ndarray
-        Shape (nodes,), degC.
-    covariance : ndarray
-        Shape (nodes, nodes), K2.
-
-    Raises
-    ------
-    ValueError
-        If a name is unknown or a value not finite.
-    SimulationError
-        If the model runs away.
+    `values` (p,); `measured`: readings in degC by sensor or node name; may be empty; `at_rest`:
+    whether the machine stood still long enough to have cooled down. `past`: speeds in rpm and loads
+    in N that the machine is usually run at. With some of them the state may also be one on the way
+    towards each of these, with the present operating point for the last half hour or less: where
+    the duty varies, a body that follows slowly is not on the way to where a momentary load would
+    lead it. `inputs`: the network's inputs at present, (k,). Returns `mean`: shape (nodes,), degC,
+    `covariance`: shape (nodes, nodes), K2. Raises `ValueError` if a name is unknown or a value not
+    finite, `SimulationError` if the model runs away.
     """
     nodes = len(model.node_names)
     contradicted = any(abs(t - ambient_c) > _REST_CONTRADICTION_K for t in measured.values())

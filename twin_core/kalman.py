@@ -6,7 +6,7 @@ The state of a machine is [T, d]: its node temperatures and its heat disturbance
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from twin_core.simulation import OperatingProfiles
 from twin_core.simulation.assembly import driving_value, modal_basis
 from twin_core.simulation.compiling import compiled
-from twin_core.simulation.kernels import Basis, simulate_range
+from twin_core.simulation.kernels import Basis, Starts, simulate_range
 from twin_core.simulation.laws import (
     COPPER,
     edge_conductance,
@@ -50,73 +50,46 @@ _A = 1.0 / DISTURBANCE_TIME_S
 
 
 class Machines(NamedTuple):
-    """What does not change of n machines.
+    """What does not change of n machines."""
 
-    Attributes
-    ----------
-    values
-        (n, p) parameters.
-    capacity, coefficient, friction
-        Their networks with the parameters applied, see
-        `twin_core.simulation.assembly.bind_network`.
-    structure, structure_size
-        (n, nodes, nodes) what disturbances bring to the nodes, and (n, nodes) the size of its rows.
-    """
-
-    values: FloatArray
+    values: FloatArray  # (n, p) parameters
+    #: Their networks with the parameters applied, see `twin_core.simulation.assembly.bind_network`.
     capacity: FloatArray
     coefficient: FloatArray
     friction: FloatArray
+    #: (n, nodes, nodes) what disturbances bring to the nodes, and (n, nodes) the size of its rows.
     structure: FloatArray
     structure_size: FloatArray
 
 
 class Modes(NamedTuple):
-    """Modes of the operating points that n machines are at, kept until these change.
+    """Modes of the operating points that n machines are at, kept until these change."""
 
-    Attributes
-    ----------
-    point, given
-        (n, 2) speed and load, and (n, k) inputs; NaN before the first step.
-    rate, modes, inverse
-        (n, nodes) and (n, nodes, nodes), see `twin_core.simulation.assembly.modal_basis`.
-    tie_w_k
-        (n, nodes) what ties each node to all others.
-    ambient_c
-        (n,) ambient temperature of the last step.
-    """
-
+    #: (n, 2) speed and load, and (n, k) inputs; NaN before the first step.
     point: FloatArray
     given: FloatArray
+    #: (n, nodes) and (n, nodes, nodes), see `twin_core.simulation.assembly.modal_basis`.
     rate: FloatArray
     modes: FloatArray
     inverse: FloatArray
-    tie_w_k: FloatArray
-    ambient_c: FloatArray
+    tie_w_k: FloatArray  # (n, nodes) what ties each node to all others
+    ambient_c: FloatArray  # (n,) ambient temperature of the last step
 
 
 class Estimates(NamedTuple):
-    """States of n machines.
+    """States of n machines."""
 
-    Attributes
-    ----------
-    temperatures_c, disturbances
-        (n, nodes) means.
-    tt, td, dd
-        (n, nodes, nodes) blocks of the covariance.
-    revolutions, heat_w
-        (n,) revolutions since greasing, and the heat that scales the disturbances.
-    elapsed_s
-        (n, readable) time since the last reading of every sensor and node, long if there was none.
-    """
-
+    #: (n, nodes) means.
     temperatures_c: FloatArray
     disturbances: FloatArray
+    #: (n, nodes, nodes) blocks of the covariance.
     tt: FloatArray
     td: FloatArray
     dd: FloatArray
+    #: (n,) revolutions since greasing, and the heat that scales the disturbances.
     revolutions: FloatArray
     heat_w: FloatArray
+    #: (n, readable) time since the last reading of every sensor and node, long if there was none.
     elapsed_s: FloatArray
 
 
@@ -217,16 +190,21 @@ def transition_and_noise(  # type: ignore[no-untyped-def]
 
 @compiled
 def disturb_range(  # type: ignore[no-untyped-def]
-    net, machines, known, estimates, step_s, speed, load, given, heat, scale
+    net, machines, known, estimates, steps, given, rows, drives, heat, scale
 ):
     """Begin a step of every machine: its modes, and the heats of its disturbances.
 
-    `step_s`, `speed` and `load` are (n,), `given` (n, inputs). Fills heat (n, nodes) with the
-    mean heats in W over the step, and scale (n,) with the heat that scales the disturbances.
+    `steps` (4, n) and `given` (n, inputs) are as in `advance_range`. Fills rows (4, n, 2) and
+    drives (n, 2, inputs) with the profiles of the step, heat (n, nodes) with the mean heats in W
+    over it, and scale (n,) with the heat that scales the disturbances.
     """
     count = net.capacity.size
-    for i in range(step_s.size):
-        step, n, f = step_s[i], speed[i], load[i]
+    for i in range(steps.shape[1]):
+        step, n, f = steps[0, i], abs(steps[1, i]), max(steps[2, i], 0.0)
+        rows[0, i, 0], rows[0, i, 1] = 0.0, step
+        rows[1, i, :], rows[2, i, :], rows[3, i, :] = n, f, steps[3, i]
+        for k in range(given.shape[1]):
+            drives[i, :, k] = given[i, k]
         if step <= 0.0:
             continue
         capacity, coefficient = machines.capacity[i], machines.coefficient[i]
@@ -279,16 +257,17 @@ def disturb_range(  # type: ignore[no-untyped-def]
 
 @compiled
 def predict_range(  # type: ignore[no-untyped-def]
-    machines, known, estimates, step_s, speed, failed, scale, path
+    machines, known, estimates, steps, failed, scale, path
 ):
     """Advance the machines, each by its own step; of those that failed nothing changes.
 
-    `scale` is what `disturb_range` gave, `path` (n, 2, nodes) the simulated temperatures.
+    `steps` are as in `advance_range`, `scale` is what `disturb_range` gave, `path` (n, 2, nodes)
+    the simulated temperatures.
     """
     count = known.rate.shape[1]
     density = np.empty(count)
-    for i in range(step_s.size):
-        step = step_s[i]
+    for i in range(steps.shape[1]):
+        step = steps[0, i]
         if step <= 0.0 or failed[i] >= 0:
             continue
         modes, tie = known.modes[i], known.tie_w_k[i]
@@ -322,62 +301,48 @@ def predict_range(  # type: ignore[no-untyped-def]
             estimates.temperatures_c[i, j] = path[i, 1, j]
             estimates.disturbances[i, j] *= fade
         estimates.heat_w[i] = scale[i] * math.exp(-step / DISTURBANCE_FADE_S)
-        estimates.revolutions[i] += speed[i] * step / 60.0
+        estimates.revolutions[i] += abs(steps[1, i]) * step / 60.0
+        known.ambient_c[i] = steps[3, i]
+        for k in range(estimates.elapsed_s.shape[1]):
+            estimates.elapsed_s[i, k] += step
 
 
-@compiled
-def advance_range(net, machines, known, estimates, steps, given):  # type: ignore[no-untyped-def]
+def advance_range(
+    net: Any,
+    machines: Machines,
+    known: Modes,
+    estimates: Estimates,
+    steps: FloatArray,
+    given: FloatArray,
+) -> NDArray[np.bool_]:
     """Advance every machine by its own step at its operating point; a step of zero does nothing.
 
-    `steps` (4, n) are the steps' lengths, the speeds, loads and ambients, `given` (n, inputs).
-    Returns (n,) which ran away; of those nothing changes.
+    Not compiled itself: the simulation that it calls would be compiled once more, within it.
+
+    `known`, `estimates`: change; `steps` (4, n): the steps' lengths, the speeds, loads and
+    ambients; `given` (n, inputs). Returns (n,) which ran away; of those nothing changes.
     """
     size, count = estimates.temperatures_c.shape
-    step_s, speed, load, ambient = steps[0], np.abs(steps[1]), steps[2].copy(), steps[3]
-    for i in range(size):
-        load[i] = max(load[i], 0.0)
-    heat, scale = np.zeros((size, count)), np.zeros(size)
-    disturb_range(net, machines, known, estimates, step_s, speed, load, given, heat, scale)
-    rows = np.zeros((4, size, 2))
-    drives = np.empty((size, 2, given.shape[1]))
-    for i in range(size):
-        rows[0, i, 1] = step_s[i]
-        rows[1, i, :], rows[2, i, :], rows[3, i, :] = speed[i], load[i], ambient[i]
-        for k in range(given.shape[1]):
-            drives[i, :, k] = given[i, k]
-    two, path = np.full(size, 2), np.empty((size, 2, count))
+    rows, drives = np.empty((4, size, 2)), np.empty((size, 2, given.shape[1]))
+    heat, scale = np.empty((size, count)), np.empty(size)
+    failed, two, path = np.full(size, -1), np.full(size, 2), np.empty((size, 2, count))
+    disturb_range(net, machines, known, estimates, steps, given, rows, drives, heat, scale)
     ahead = OperatingProfiles(rows[0], rows[1], rows[2], rows[3], drives, two)
-    failed, start = np.full(size, -1), 0
     basis = Basis(known.rate, known.modes, known.inverse)
-    while start < size:
-        stop = start
-        while stop < size and step_s[stop] > 0.0:
-            stop += 1
-        if stop > start:
-            mean, turned = estimates.temperatures_c, estimates.revolutions
-            simulate_range(
-                net,
-                machines.values,
-                ahead,
-                mean,
-                turned,
-                heat,
-                0.0,
-                two,
-                start,
-                stop,
-                failed,
-                path,
-                basis,
-            )
-        start = stop + 1
-    predict_range(machines, known, estimates, step_s, speed, failed, scale, path)
-    for i in range(size):
-        if step_s[i] > 0.0 and failed[i] < 0:
-            known.ambient_c[i] = ambient[i]
-            for k in range(estimates.elapsed_s.shape[1]):
-                estimates.elapsed_s[i, k] += step_s[i]
+    starts = Starts(estimates.temperatures_c, estimates.revolutions, heat, 0.0)
+    for start, stop in _moving(steps[0]):
+        simulate_range(net, machines.values, ahead, starts, two, basis, start, stop, failed, path)
+    predict_range(machines, known, estimates, steps, failed, scale, path)
     return failed >= 0
+
+
+def _moving(step_s: FloatArray) -> list[tuple[int, int]]:
+    """First and one after the last of each row of machines that have a step."""
+    moves = step_s > 0.0
+    if moves.all():
+        return [(0, step_s.size)]
+    edges = np.flatnonzero(np.diff(moves, prepend=False, append=False)).tolist()
+    return list(zip(edges[::2], edges[1::2], strict=True))
 
 
 @compiled

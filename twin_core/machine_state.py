@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_core.profiles import OperatingPoint
+from twin_core.profiles import Point
 
 FloatArray = NDArray[np.float64]
 
@@ -19,44 +19,31 @@ FOLLOWED_S = 3600.0
 class MachineState:
     """A machine at one moment, as its observer knows it.
 
-    Attributes
-    ----------
-    temperatures_c, covariance
-        Mean (nodes,) in degC and covariance (nodes, nodes) in K2 of the node temperatures.
-    revolutions
-        Revolutions since the grease was fresh; negative numbers count as 0.
-    ambient_c, inputs
-        Ambient temperature and the network's inputs (k,) at this moment: what envelope and advice
-        hold constant.
-    heat_disturbance_w
-        (nodes,) heat that the model lacks at present, the observer's ``heat_disturbance_w``; in a
-        forecast it fades as in the observer. None for none.
-    operating_point
-        What the machine ran at up to now; None for a machine that has not been followed. A member
-        of an ensemble whose resistances are not those of the observer's model is out of balance in
-        the state that this model has found. It starts with the heats that keep it on the observed
-        course. They fade also, and end when the machine stops or starts, as what is wrong is
-        mostly friction. Without an operating point every member is taken to be in the present
-        state by itself, as a cold machine is.
-    course_known
-        How much of the present course has been observed, 0 to 1; see `course_known`. By this part
-        members get the heats that keep them on it: from a few readings no one knows where a
-        machine is going. Below 1 a forecast has a label that gives how well the state is known,
-        where that is badly.
-
-    Raises
-    ------
-    ValueError
-        If a shape is wrong, or a number not finite or out of range.
+    Raises `ValueError` if a shape is wrong, or a number not finite or out of range.
     """
 
+    #: Mean (nodes,) in degC and covariance (nodes, nodes) in K2 of the node temperatures.
     temperatures_c: FloatArray
     covariance: FloatArray
-    revolutions: float
+    revolutions: float  # revolutions since the grease was fresh; negative numbers count as 0
+    #: Ambient temperature and the network's inputs (k,) at this moment: what envelope and advice
+    #: hold constant.
     ambient_c: float
     inputs: tuple[float, ...] = ()
+    #: (nodes,) heat that the model lacks at present, the observer's ``heat_disturbance_w``; in a
+    #: forecast it fades as in the observer. None for none.
     heat_disturbance_w: FloatArray | None = None
-    operating_point: OperatingPoint | None = None
+    #: What the machine ran at up to now; None for a machine that has not been followed. A member of
+    #: an ensemble whose resistances are not those of the observer's model is out of balance in the
+    #: state that this model has found. It starts with the heats that keep it on the observed
+    #: course. They fade also, and end when the machine stops or starts, as what is wrong is mostly
+    #: friction. Without an operating point every member is taken to be in the present state on its
+    #: own, as a cold machine is.
+    operating_point: Point | None = None
+    #: How much of the present course has been observed, 0 to 1; see `course_known`. By this part
+    #: members get the heats that keep them on it: from a few readings no one knows where a machine
+    #: is going. Below 1 a forecast has a label that gives how well the state is known, where that
+    #: is badly.
     course_known: float = 1.0
 
     def __post_init__(self) -> None:
@@ -103,10 +90,7 @@ class MachineState:
     def from_dict(cls, document: Mapping[str, Any]) -> "MachineState":
         """Restore what `to_dict` gave.
 
-        Raises
-        ------
-        ValueError
-            If a value is missing, has the wrong shape or is out of range.
+        Raises `ValueError` if a value is missing, has the wrong shape or is out of range.
         """
         try:
             point = document["operating_point"]
@@ -114,7 +98,7 @@ class MachineState:
                 "inputs": tuple(document["inputs"]),
                 "operating_point": None
                 if point is None
-                else OperatingPoint(**dict(point) | {"inputs": tuple(point["inputs"])}),
+                else Point(**dict(point) | {"inputs": tuple(point["inputs"])}),
             }
             return cls(**values)
         except (KeyError, TypeError) as error:

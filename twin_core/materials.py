@@ -10,14 +10,9 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Solid:
-    """A solid material.
+    """A solid material."""
 
-    Parameters
-    ----------
-    density_kg_m3, conductivity_w_mk, specific_heat_j_kgk
-        Constant over the temperatures of a bearing.
-    """
-
+    #: Constant over the temperatures of a bearing.
     density_kg_m3: float
     conductivity_w_mk: float
     specific_heat_j_kgk: float
@@ -44,20 +39,11 @@ class BaseOil:
     """Kinematic viscosity of a grease's base oil, nu = nu0 exp(-beta (T - T0)).
 
     Equation (4) of the paper; the sign of beta, lost in print, is restored.
-
-    Parameters
-    ----------
-    viscosity_mm2_s
-        nu0 at the reference temperature.
-    reference_c
-        T0.
-    coefficient_per_k
-        beta > 0.
     """
 
-    viscosity_mm2_s: float
-    reference_c: float
-    coefficient_per_k: float
+    viscosity_mm2_s: float  # nu0 at the reference temperature
+    reference_c: float  # T0
+    coefficient_per_k: float  # beta > 0
 
     def kinematic_viscosity_mm2_s(self, temperature_c: float) -> float:
         """Viscosity in mm2/s (cSt) at *temperature_c*."""
@@ -78,12 +64,7 @@ def walther_viscosity_mm2_s(
 ) -> float:
     """Kinematic viscosity by the Walther equation (ASTM D341), lg lg (nu + 0.7) = A - B lg T.
 
-    Parameters
-    ----------
-    temperature_c
-        Where the viscosity is wanted.
-    viscosity_40_mm2_s, viscosity_100_mm2_s
-        The two values of a data sheet, at 40 and 100 degC.
+    From the two values of a data sheet, at 40 and 100 degC.
     """
     at_40 = math.log10(math.log10(viscosity_40_mm2_s + 0.7))
     at_100 = math.log10(math.log10(viscosity_100_mm2_s + 0.7))

@@ -1,7 +1,7 @@
 """Minute rows: what was measured, brought to the spacing that the twin works at.
 
 A row has the mean operating point over the step that begins at its time, its mark, and the mean
-temperatures over the step around it. Whoever has the means, from a store, a file or a virtual
+temperatures over the step around it. A caller has the means, from a store, a file or a virtual
 bench, makes his rows here. A bearing needs one row per minute; a network of one's own may have a
 body that is faster.
 """
@@ -28,21 +28,13 @@ _OPERATING_POINT = ("speed_rpm", "load_n", "ambient_c")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StepMeans:
-    """Means of channels over steps of equal length.
+    """Means of channels over steps of equal length."""
 
-    Parameters
-    ----------
-    time_s
-        (n,) the mark that each step belongs to, ascending; a step without any sample is absent.
-    mean
-        (n,) by channel; NaN where the channel has none.
-    is_sound
-        (n,) by channel: whether the mean stands for the step. A channel left out is sound
-        wherever it has a mean.
-    """
-
+    #: (n,) the mark that each step belongs to, ascending; a step without any sample is absent.
     time_s: FloatArray
-    mean: Mapping[str, FloatArray]
+    mean: Mapping[str, FloatArray]  # (n,) by channel; NaN where the channel has none
+    #: (n,) by channel: whether the mean stands for the step. A channel left out is sound wherever
+    #: it has a mean.
     is_sound: Mapping[str, BoolArray] = field(default_factory=dict)
 
 
@@ -51,16 +43,10 @@ def minute_rows(
 ) -> MinuteData:
     """Rows of an operating point and of temperatures, each with its own missing steps.
 
-    Parameters
-    ----------
-    operating
-        Over the step from each mark: ``speed_rpm``, ``load_n``, ``ambient_c``, then the inputs of
-        a network of one's own in its order.
-    temperatures
-        Over the step around each mark, by sensor.
-    needed
-        Sensors without which a row is not good; those that are not among the temperatures are
-        ignored. The operating point is always needed.
+    `operating`: over the step from each mark: ``speed_rpm``, ``load_n``, ``ambient_c``, then the
+    inputs of a network of one's own in its order; `temperatures`: over the step around each mark,
+    by sensor. `needed`: sensors without which a row is not good; those that are not among the
+    temperatures are ignored. The operating point is always needed.
     """
     time_s = np.union1d(operating.time_s, temperatures.time_s)
     good = np.ones(time_s.size, dtype=np.bool_)
@@ -92,14 +78,8 @@ def rows_of_samples(
 ) -> MinuteData:
     """Rows of samples that come evenly: every sample of a step counts alike, as in the store.
 
-    Parameters
-    ----------
-    time_s
-        (n,) ascending, from 0 on; marks are the multiples of a step.
-    operating, temperatures
-        (n,) by channel; see `minute_rows`.
-    step_s
-        Length of a step.
+    `time_s` (n,) ascending, from 0 on; marks are the multiples of a step; `operating`,
+    `temperatures` (n,) by channel; see `minute_rows`.
     """
     return minute_rows(
         _means(time_s, operating, 0.0, step_s), _means(time_s, temperatures, step_s / 2.0, step_s)
@@ -125,14 +105,8 @@ def row_step_s(fastest_s: float, spacing_s: float, duration_s: float) -> float:
     The longest of `ROW_STEPS_S` of which a time constant has five, but no shorter one than the
     data's own spacing, and none that makes more than `MOST_ROWS` rows.
 
-    Parameters
-    ----------
-    fastest_s
-        Shortest time constant that matters.
-    spacing_s
-        Usual time between two rows of the data.
-    duration_s
-        From the first row to the last.
+    `fastest_s`: shortest time constant that matters; `spacing_s`: usual time between two rows of
+    the data; `duration_s`: from the first row to the last.
     """
     least_s = max(spacing_s, duration_s / MOST_ROWS)
     fitting = [step for step in ROW_STEPS_S if step * _STEPS_PER_TIME_CONSTANT <= fastest_s]

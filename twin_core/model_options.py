@@ -25,19 +25,18 @@ shaft for the heat of seat and sleeve (see `twin_core.networks.bearing_14.with_s
 
 
 def held_at(without: Collection[str]) -> dict[str, float]:
-    """Return the values at which the parameters of left-out parts are held.
+    """Values at which the parameters of left-out parts are held.
 
-    Raises
-    ------
-    ValueError
-        If a part is unknown or named twice.
+    Raises `ValueError` if a part is unknown or named twice.
     """
     names = list(without)
+    known: set[str] = set()
     for name in names:
-        if name not in MODEL_OPTIONS or names.count(name) > 1:
+        if name not in MODEL_OPTIONS or name in known:
             raise ValueError(
                 f"without has {name!r}, expected each once of {', '.join(MODEL_OPTIONS)}"
             )
+        known.add(name)
     return {key: value for name in names for key, value in MODEL_OPTIONS[name].items()}
 
 

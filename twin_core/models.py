@@ -47,14 +47,9 @@ ModelName = Literal["default", "paper", "paper-reduced"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ThermalModel(NetworkModel):
-    """The model of a machine, such as a bearing in its test drum.
+    """The model of a machine, such as a bearing in its test drum."""
 
-    Parameters
-    ----------
-    machine
-        What it was built for: the bearing's designation, or the name of a network of one's own.
-    """
-
+    #: What it was built for: the bearing's designation, or the name of a network of one's own.
     machine: str
 
 
@@ -66,19 +61,9 @@ def build_model(
 ) -> ThermalModel:
     """Build a model for a bearing.
 
-    Parameters
-    ----------
-    name
-        ``"default"``, ``"paper"`` or ``"paper-reduced"``.
-    bearing
-        From the catalogue or from dimensions.
-    without
-        Parts of ``"default"`` to leave out, names of `twin_core.model_options.MODEL_OPTIONS`.
-
-    Raises
-    ------
-    ValueError
-        If the name or a part is unknown, or the bearing does not fit the network.
+    `name`: ``"default"``, ``"paper"`` or ``"paper-reduced"``; `without`: parts of ``"default"`` to
+    leave out, names of `twin_core.model_options.MODEL_OPTIONS`. Raises `ValueError` if the name or
+    a part is unknown, or the bearing does not fit the network.
     """
     data = bearing_14_data(bearing)
     if without and name != "default":

@@ -41,44 +41,21 @@ _LARGEST_RADIUS = 0.9999
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NaiveForecasts:
-    """Fitted naive models of all sensors.
+    """Fitted naive models of all sensors."""
 
-    Attributes
-    ----------
-    sensors
-        Names, s of them.
-    static
-        (3, s) excess over ambient of the steady state per (1, krpm, kN).
-    transition
-        (s, s) how the excesses of one row carry over to the next.
-    drive
-        (3, s) what (1, krpm, kN) add per row.
-    spacing_s
-        Time between two rows of the ARX model.
-    """
-
-    sensors: tuple[str, ...]
-    static: FloatArray
-    transition: FloatArray
-    drive: FloatArray
-    spacing_s: float
+    sensors: tuple[str, ...]  # names, s of them
+    static: FloatArray  # (3, s) excess over ambient of the steady state per (1, krpm, kN)
+    transition: FloatArray  # (s, s) how the excesses of one row carry over to the next
+    drive: FloatArray  # (3, s) what (1, krpm, kN) add per row
+    spacing_s: float  # time between two rows of the ARX model
 
     def forecast(
         self, profile: OperatingProfile, last_c: Mapping[str, float]
     ) -> dict[str, dict[str, FloatArray]]:
-        """Forecast all sensors with all naive models.
+        """Forecast all sensors with all naive models over n rows; the first is now.
 
-        Parameters
-        ----------
-        profile
-            n rows ahead; the first is now.
-        last_c
-            Last measured temperature of every sensor.
-
-        Returns
-        -------
-        dict
-            Kind to sensor to (n,) temperatures in degC.
+        `last_c` are the last measured temperatures. Returns kind to sensor to (n,) temperatures in
+        degC.
         """
         now_c = np.array([last_c[name] for name in self.sensors])
         inputs = _inputs(profile.speed_rpm, profile.load_n)
@@ -107,10 +84,7 @@ class NaiveForecasts:
     def from_dict(cls, document: Mapping[str, Any]) -> "NaiveForecasts":
         """Take back what `to_dict` gave.
 
-        Raises
-        ------
-        ValueError
-            If something is missing or does not belong together.
+        Raises `ValueError` if something is missing or does not belong together.
         """
         try:
             sensors = tuple(str(name) for name in document["sensors"])
@@ -150,15 +124,8 @@ def fit_naive(windows: Sequence[MinuteData]) -> NaiveForecasts:
     A coefficient of speed or load is only fitted where the rows vary in it, otherwise it is zero.
     An ARX model that would run away is damped until it does not.
 
-    Parameters
-    ----------
-    windows
-        Rows with the same sensors in every window.
-
-    Raises
-    ------
-    ValueError
-        Without rows, or where the windows differ in their sensors.
+    `windows`: rows with the same sensors in every window. Raises `ValueError` without rows, or
+    where the windows differ in their sensors.
     """
     if not windows:
         raise ValueError("no windows, expected at least one")

@@ -6,6 +6,7 @@ of the model. That is all the binding there is between a network and what is ide
 Units: temperatures in degC, resistances in K/W, conductances in W/K, speed in rpm, load in N.
 """
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
@@ -105,18 +106,10 @@ class Coefficient:
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """A state node.
-
-    Parameters
-    ----------
-    name
-        Unique.
-    capacity
-        Heat capacity in J/K.
-    """
+    """A state node."""
 
     name: str
-    capacity: Coefficient
+    capacity: Coefficient  # heat capacity in J/K
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,21 +136,13 @@ class HeatShare:
 
 @dataclass(frozen=True, slots=True)
 class HeatSource:
-    """The friction heat and where it goes.
+    """The friction heat and where it goes."""
 
-    Parameters
-    ----------
-    kind, coefficients
-        The law.
-    temperature_node
-        The node whose temperature sets the viscosity.
-    shares
-        In order, each a fraction of the rest; the last one takes all that is left.
-    """
-
+    #: The law.
     kind: FrictionKind
     coefficients: tuple[Coefficient, ...]
-    temperature_node: str
+    temperature_node: str  # the node whose temperature sets the viscosity
+    #: In order, each a fraction of the rest; the last one takes all that is left.
     shares: tuple[HeatShare, ...]
 
 
@@ -173,19 +158,7 @@ class Sensor:
 class Network:
     """A thermal network.
 
-    Parameters
-    ----------
-    name
-        For reports.
-    nodes, edges, source, sensors
-        The parts; node and sensor names are unique.
-    inputs
-        Names of the channels that act on the network besides speed, load and ambient.
-
-    Raises
-    ------
-    ValueError
-        If the parts do not fit together; names the part and what was expected.
+    Raises `ValueError` if the parts do not fit together; names the part and what was expected.
     """
 
     name: str
@@ -193,6 +166,7 @@ class Network:
     edges: tuple[Edge, ...]
     source: HeatSource
     sensors: tuple[Sensor, ...]
+    #: Names of the channels that act on the network besides speed, load and ambient.
     inputs: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -292,18 +266,8 @@ class CompiledNetwork(NamedTuple):
 def compile_network(network: Network, parameter_names: Sequence[str]) -> CompiledNetwork:
     """Turn *network* into flat arrays.
 
-    Parameters
-    ----------
-    network
-        The network.
-    parameter_names
-        Names in the order of the parameter vector.
-
-    Raises
-    ------
-    ValueError
-        If a coefficient names a parameter that is not in *parameter_names*, or a parameter is
-        used nowhere.
+    `parameter_names`: names in the order of the parameter vector. Raises `ValueError` if a
+    coefficient names a parameter that is not in *parameter_names*, or a parameter is used nowhere.
     """
     position = {name: index for index, name in enumerate(parameter_names)}
     used: set[str] = set()
@@ -323,10 +287,6 @@ def compile_network(network: Network, parameter_names: Sequence[str]) -> Compile
         )
 
     node_index = {name: index for index, name in enumerate(network.node_names)}
-    node_index[AMBIENT] = len(network.nodes)
-    for number, name in enumerate(network.boundaries, 1):
-        node_index[name] = len(network.nodes) + number
-    input_index = {name: index for index, name in enumerate(network.inputs)}
     capacity, capacity_parameter = bind([node.capacity for node in network.nodes])
     edge_coefficient = np.zeros((len(network.edges), MAX_COEFFICIENTS))
     edge_parameter = np.full((len(network.edges), MAX_COEFFICIENTS), -1, dtype=np.int64)
@@ -344,13 +304,7 @@ def compile_network(network: Network, parameter_names: Sequence[str]) -> Compile
     return CompiledNetwork(
         capacity=np.array(capacity),
         capacity_parameter=np.array(capacity_parameter, dtype=np.int64),
-        edge_nodes=np.array(
-            [
-                [node_index[edge.first], node_index[AMBIENT if loss else edge.second]]
-                for edge, loss in ((edge, edge.kind in LOSSES) for edge in network.edges)
-            ],
-            dtype=np.int64,
-        ),
+        edge_nodes=_edge_nodes(network),
         edge_kind=np.array([int(edge.kind) for edge in network.edges], dtype=np.int64),
         edge_coefficient=edge_coefficient,
         edge_parameter=edge_parameter,
@@ -361,22 +315,41 @@ def compile_network(network: Network, parameter_names: Sequence[str]) -> Compile
         share_node=np.array([node_index[s.node] for s in network.source.shares], dtype=np.int64),
         share_fraction=np.array(fraction),
         share_parameter=np.array(share_parameter, dtype=np.int64),
-        edge_input=np.array(
-            [
-                input_index.get(edge.second, -1) if edge.kind in LOSSES else -1
-                for edge in network.edges
-            ],
-            dtype=np.int64,
+        edge_input=_edge_inputs(network),
+        boundary_input=np.array(
+            [network.inputs.index(name) for name in network.boundaries], dtype=np.int64
         ),
-        boundary_input=np.array([input_index[name] for name in network.boundaries], dtype=np.int64),
         inputs=np.full(len(network.inputs), np.nan),
     )
 
 
+def _edge_inputs(network: Network) -> NDArray[np.int64]:
+    """Which of the inputs drives the loss of an edge; -1 where none does."""
+    inputs = [
+        network.inputs.index(edge.second)
+        if edge.kind in LOSSES and edge.second in network.inputs
+        else -1
+        for edge in network.edges
+    ]
+    return np.array(inputs, dtype=np.int64)
+
+
+def _edge_nodes(network: Network) -> NDArray[np.int64]:
+    """Both ends of every edge: nodes, then the ambient and the other boundaries."""
+    ends = [*network.node_names, AMBIENT, *network.boundaries]
+    return np.array(
+        [
+            [ends.index(edge.first), ends.index(AMBIENT if edge.kind in LOSSES else edge.second)]
+            for edge in network.edges
+        ],
+        dtype=np.int64,
+    )
+
+
 def _check_unique(network: str, what: str, names: Sequence[str]) -> None:
-    for name in names:
-        if list(names).count(name) > 1:
-            raise ValueError(f"network {network!r}: {what} {name!r} is defined more than once")
+    twice = next((name for name, times in Counter(names).items() if times > 1), None)
+    if twice is not None:
+        raise ValueError(f"network {network!r}: {what} {twice!r} is defined more than once")
 
 
 def _check_count(label: str, kind: str, coefficients: Sequence[Coefficient], expected: int) -> None:

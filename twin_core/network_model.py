@@ -18,25 +18,14 @@ class ErrorModel:
     The defaults are those of a bearing on its bench. A coarse network of a machine in the field,
     with inputs that no one measures, is wrong by kelvins for hours.
 
-    Parameters
-    ----------
-    white_k
-        Standard deviation of white noise.
-    slow_k, slow_s
-        Standard deviation and correlation time of what the network cannot express.
-    offset_k
-        Standard deviation of a constant offset.
-
-    Raises
-    ------
-    ValueError
-        If one of them is not a positive number.
+    Raises `ValueError` if one of them is not a positive number.
     """
 
-    white_k: float = 0.15
+    white_k: float = 0.15  # standard deviation of white noise
+    #: Standard deviation and correlation time of what the network cannot express.
     slow_k: float = 0.30
     slow_s: float = 1800.0
-    offset_k: float = 0.10
+    offset_k: float = 0.10  # standard deviation of a constant offset
 
     def __post_init__(self) -> None:
         for name in ("white_k", "slow_k", "slow_s", "offset_k"):
@@ -61,29 +50,18 @@ class RunawayLimits:
     The defaults are those of a grease-lubricated bearing. It runs away for reasons that no network
     here contains (preload by the growing inner ring, starved grease), so limits stand in for them.
 
-    Parameters
-    ----------
-    hot_c
-        Upper edge (97.5 %) of a forecast in degC.
-    load_factor
-        Load ahead over the largest trained one.
-    lost_c
-        A member in which any sensor passes this temperature in degC has run away: no grease
-        survives it.
-    clearance_um_k
-        Radial clearance in micrometres that a kelvin between inner and outer ring takes up; given,
-        where the probability of a runaway that follows from it was tested on benches that ran
-        away, up to ``load_factor``. Zero elsewhere: the members' share stands for it.
-
-    Raises
-    ------
-    ValueError
-        If one of them is not a finite number, the factor is below 1 or ``lost_c`` below ``hot_c``.
+    Raises `ValueError` if one of them is not a finite number, the factor is below 1 or ``lost_c``
+    below ``hot_c``.
     """
 
-    hot_c: float = 100.0
-    load_factor: float = 1.5
+    hot_c: float = 100.0  # upper edge (97.5 %) of a forecast in degC
+    load_factor: float = 1.5  # load ahead over the largest trained one
+    #: A member in which any sensor passes this temperature in degC has run away: no grease survives
+    #: it.
     lost_c: float = 130.0
+    #: Radial clearance in micrometres that a kelvin between inner and outer ring takes up; given,
+    #: where the probability of a runaway that follows from it was tested on benches that ran away,
+    #: up to ``load_factor``. Zero elsewhere: the members' share stands for it.
     clearance_um_k: float = 0.0
 
     def __post_init__(self) -> None:
@@ -103,36 +81,20 @@ class RunawayLimits:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NetworkModel:
-    """A network and its parameters, compiled, ready to simulate.
-
-    Parameters
-    ----------
-    name
-        For reports.
-    network
-        Nodes, edges, heat source and sensors as data.
-    parameters
-        What is identified, with priors.
-    compiled
-        The network as flat arrays.
-    errors
-        What is left between a sensor and the model.
-    reference_point
-        A usual operating point, speed in rpm and load in N.
-    reference_inputs
-        The network's inputs there; a boundary's are not used, it counts as at ambient.
-    runaway
-        From where on a runaway counts as not excluded; None for a machine without a bearing's
-        friction, of which only a simulation that fails has run away.
-    """
+    """A network and its parameters, compiled, ready to simulate."""
 
     name: str
     network: Network
-    parameters: ParameterSet
+    parameters: ParameterSet  # what is identified, with priors
     compiled: CompiledNetwork
+    #: What is left between a sensor and the model.
     errors: ErrorModel = field(default=ErrorModel(), kw_only=True)
+    #: A usual operating point, speed in rpm and load in N.
     reference_point: tuple[float, float] = field(default=(4000.0, 2650.0), kw_only=True)
+    #: The network's inputs there; a boundary's are not used, it counts as at ambient.
     reference_inputs: tuple[float, ...] = field(default=(), kw_only=True)
+    #: From where on a runaway counts as not excluded; None for a machine without a bearing's
+    #: friction, of which only a simulation that fails has run away.
     runaway: RunawayLimits | None = field(default=RunawayLimits(), kw_only=True)
 
     @property
@@ -158,10 +120,7 @@ class NetworkModel:
     def holding(self, inputs: ArrayLike) -> Self:
         """Return the model with its inputs held at values, shape (k,), wherever no profile is.
 
-        Raises
-        ------
-        ValueError
-            If there are more or fewer values than inputs, or one is not finite.
+        Raises `ValueError` if there are more or fewer values than inputs, or one is not finite.
         """
         values = np.ascontiguousarray(inputs, np.float64).reshape(-1)
         if values.size != len(self.input_names) or not np.isfinite(values).all():
@@ -184,22 +143,9 @@ class NetworkModel:
         )
 
     def sensor_row(self, name: str) -> NDArray[np.float64]:
-        """Weights of the nodes in a sensor's reading.
+        """Weights (nodes,) of the nodes in the reading of a sensor or of a node's own sensor.
 
-        Parameters
-        ----------
-        name
-            A sensor or a node (a node's own sensor reads that node).
-
-        Returns
-        -------
-        ndarray
-            Shape (nodes,).
-
-        Raises
-        ------
-        ValueError
-            If there is no such sensor or node.
+        Raises `ValueError` if there is no such sensor or node.
         """
         row = np.zeros(len(self.node_names))
         if name in self.node_names:

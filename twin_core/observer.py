@@ -8,7 +8,7 @@ through the exact transition matrix of the operating point. Two kinds of model e
   split and of every resistance (heat that flows from one end of an edge to the other) would
   cause in the steady state of a usual operating point; it goes with the friction heat, and fades
   slowly once that is gone. They are states of the filter: it learns a lasting model error and
-  stays on the sensors without an offset, the spread of unmeasured nodes tells how far wrong the
+  stays on the sensors without an offset, the spread of unmeasured nodes shows how far wrong the
   resistances may have led them, and when sensors are lost it grows everywhere.
 - *heat noise*: short-lived, white, the same at every node; in temperature it counts least where
   the heat capacity is large.
@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike, NDArray
 from twin_core.machine_state import MachineState
 from twin_core.models import ThermalModel
 from twin_core.observers import Observers
-from twin_core.profiles import OperatingPoint
+from twin_core.profiles import Point
 from twin_core.simulation import SimulationError
 
 FLOOR_ERROR_K = 0.5
@@ -35,61 +35,33 @@ FLOOR_ERROR_K = 0.5
 
 
 class Innovation(NamedTuple):
-    """What a sensor said against what was expected.
+    """What a sensor said against what was expected."""
 
-    Parameters
-    ----------
-    difference_k
-        Reading minus expectation.
-    std_k
-        Expected standard deviation of the difference.
-    """
-
-    difference_k: float
-    std_k: float
+    difference_k: float  # reading minus expectation
+    std_k: float  # expected standard deviation of the difference
 
 
-class Step(NamedTuple):
-    """What one machine did since its last step, and what its sensors say now.
+class Observation(NamedTuple):
+    """What one machine did since its last step, and what its sensors say now."""
 
-    Attributes
-    ----------
-    dt_s, speed_rpm, load_n, ambient_c, inputs
-        See `Observer.predict`.
-    measured
-        See `Observer.update`.
-    """
-
+    #: See `Observer.predict`.
     dt_s: float
     speed_rpm: float
     load_n: float
     ambient_c: float
     inputs: tuple[float, ...]
-    measured: Mapping[str, float]
+    measured: Mapping[str, float]  # see `Observer.update`
 
 
 class Observer:
-    """Kalman filter over the state nodes of one machine: `Observers` of one.
+    """Kalman filter over the state nodes of one machine: a row of `Observers`.
 
-    Parameters
-    ----------
-    model
-        The model.
-    values
-        Its parameters, shape (p,), physical units.
-    temperatures_c
-        Mean, shape (nodes,).
-    covariance
-        In K2, shape (nodes, nodes).
-    revolutions
-        Revolutions since greasing.
+    Machines that were advanced together share arrays, of which each has a row.
 
-    Raises
-    ------
-    ValueError
-        If a shape is wrong or a value not finite.
-    SimulationError
-        If the model has no steady state at a usual operating point.
+    `values`: its parameters, shape (p,), physical units; `temperatures_c`: mean, shape (nodes,);
+    `covariance`: in K2, shape (nodes, nodes); `revolutions` since greasing. Raises `ValueError` if
+    a shape is wrong or a value not finite, `SimulationError` if the model has no steady state at a
+    usual operating point.
     """
 
     def __init__(
@@ -103,39 +75,37 @@ class Observer:
         own, mean_c, spread = (
             np.asarray(part, np.float64)[None] for part in (values, temperatures_c, covariance)
         )
-        self._begin(Observers(model, own, mean_c, spread, [revolutions]))
+        self.one = Observers(model, own, mean_c, spread, [revolutions])
+        self.shared, self.place = self.one, 0
 
-    def _begin(self, one: Observers) -> None:
-        # Those that were advanced together share arrays of which each has a row; `_one` is a view.
-        self._one, self._shared, self._row = one, one, 0
-
-    def _share(self, shared: Observers, row: int) -> None:
-        self._one, self._shared, self._row = shared.row(row, self._one), shared, row
+    def share(self, shared: Observers, place: int) -> None:
+        """Go on as a row of arrays that others have rows in, too."""
+        self.one, self.shared, self.place = shared.row(place, self.one.form), shared, place
 
     @property
     def model(self) -> ThermalModel:
         """The model in use."""
-        return self._one.model
+        return self.one.model
 
     @property
     def values(self) -> NDArray[np.float64]:
         """The parameters in use, shape (p,)."""
-        return np.asarray(self._one.values[0])
+        return np.asarray(self.one.values[0])
 
     @property
     def temperatures_c(self) -> NDArray[np.float64]:
         """Mean of the node temperatures, shape (nodes,)."""
-        return np.asarray(self._one.temperatures_c[0])
+        return np.asarray(self.one.temperatures_c[0])
 
     @property
     def covariance(self) -> NDArray[np.float64]:
         """Covariance of the node temperatures in K2, shape (nodes, nodes)."""
-        return np.asarray(self._one.covariance[0])
+        return np.asarray(self.one.covariance[0])
 
     @property
-    def operating_point(self) -> OperatingPoint | None:
+    def operating_point(self) -> Point | None:
         """Operating point of the last step; None before the first."""
-        return self._one.operating_point(0)
+        return self.one.operating_point(0)
 
     def state(
         self,
@@ -146,21 +116,12 @@ class Observer:
     ) -> MachineState:
         """Return the machine's state: what forecasts, maps and advice start from.
 
-        Parameters
-        ----------
-        ambient_c, inputs
-            Ambient temperature in degC and inputs (k,) at this moment; by default those of the
-            last step.
-        followed_s
-            For how long the machine has been followed, in s; by default long enough for its
-            course to be known.
-
-        Raises
-        ------
-        ValueError
-            If an ambient temperature or inputs are missing before the first step.
+        `ambient_c`, `inputs`: ambient temperature in degC and inputs (k,) at this moment; by
+        default those of the last step; `followed_s`: for how long the machine has been followed, in
+        s; by default long enough for its course to be known. Raises `ValueError` if an ambient
+        temperature or inputs are missing before the first step.
         """
-        return self._one.state(0, ambient_c, inputs, followed_s=followed_s)
+        return self.one.state(0, ambient_c, inputs, followed_s=followed_s)
 
     @property
     def std_c(self) -> NDArray[np.float64]:
@@ -171,11 +132,11 @@ class Observer:
     @property
     def revolutions(self) -> float:
         """Revolutions since greasing."""
-        return float(self._one.revolutions[0])
+        return float(self.one.revolutions[0])
 
     def renew_grease(self) -> None:
         """Count the revolutions from zero again: the grease is fresh."""
-        self._one.renew_grease(0)
+        self.one.renew_grease(0)
 
     @property
     def heat_disturbance_w(self) -> NDArray[np.float64]:
@@ -185,15 +146,12 @@ class Observer:
         fades over :data:`twin_core.kalman.DISTURBANCE_TIME_S`. A forecast that left it out would
         jump at its start.
         """
-        return self._one.heat_disturbance_w(0)
+        return self.one.heat_disturbance_w(0)
 
     def sensor(self, name: str) -> tuple[float, float]:
         """Mean in degC and standard deviation in K of what a perfect sensor would read now.
 
-        Raises
-        ------
-        ValueError
-            If there is no such sensor or node.
+        Raises `ValueError` if there is no such sensor or node.
         """
         row = self.model.sensor_row(name)
         return float(row @ self.temperatures_c), float(np.sqrt(row @ self.covariance @ row))
@@ -210,45 +168,24 @@ class Observer:
 
         The network's inputs, if it has any, are (k,) in its order.
 
-        Raises
-        ------
-        ValueError
-            If *dt_s* is negative, an argument is not finite or an input is missing.
-        SimulationError
-            If the model runs away; the state is left as it was.
+        Raises `ValueError` if *dt_s* is negative, an argument is not finite or an input is missing,
+        `SimulationError` if the model runs away; the state is left as it was.
         """
-        if self._one.predict(dt_s, speed_rpm, load_n, ambient_c, inputs)[0]:
-            raise self._ran_away(speed_rpm, load_n)
-
-    def _ran_away(self, speed_rpm: float, load_n: float) -> SimulationError:
-        return SimulationError(
-            f"the observer's model {self.model.name!r} ran away at {abs(speed_rpm):g} rpm and "
-            f"{max(load_n, 0.0):g} N"
-        )
+        if self.one.predict(dt_s, speed_rpm, load_n, ambient_c, inputs)[0]:
+            raise _ran_away(self.model.name, speed_rpm, load_n)
 
     def update(self, measured: Mapping[str, float]) -> dict[str, Innovation]:
         """Take in readings of any sensors; those not named are simply not there.
 
-        Parameters
-        ----------
-        measured
-            Temperature in degC by sensor or node name; good readings only.
-
-        Returns
-        -------
-        dict
-            The innovation of each sensor, against the state before this call.
-
-        Raises
-        ------
-        ValueError
-            If a name is unknown or a reading not finite; nothing is taken in then.
+        `measured`: temperature in degC by sensor or node name; good readings only. Returns the
+        innovation of each sensor, against the state before this call. Raises `ValueError` if a name
+        is unknown or a reading not finite; nothing changes then.
         """
         if not measured:
             return {}
         for name, reading in measured.items():
             _check_reading(name, reading)
-        difference, std = self._one.update(list(measured), [list(measured.values())])
+        difference, std = self.one.update(list(measured), [list(measured.values())])
         return {
             name: Innovation(*found)
             for name, *found in zip(measured, difference[0].tolist(), std[0].tolist(), strict=True)
@@ -259,53 +196,37 @@ class Observer:
 
         The heat disturbances start again: what they had learned was the old model's error.
 
-        Raises
-        ------
-        ValueError
-            If the model has other nodes, or *values* has the wrong shape.
+        Raises `ValueError` if the model has other nodes, or *values* has the wrong shape.
         """
         swapped = object.__new__(Observer)
-        swapped._begin(self._one.with_parameters(model, np.asarray(values, np.float64)[None]))
+        swapped.one = self.one.with_parameters(model, np.asarray(values, np.float64)[None])
+        swapped.shared, swapped.place = swapped.one, 0
         return swapped
 
     def to_dict(self) -> dict[str, object]:
         """Return the whole state as plain JSON types; the model and its values are not in it."""
-        return self._one.to_dict(0)
+        return self.one.to_dict(0)
 
     @classmethod
     def from_dict(cls, model: ThermalModel, values: ArrayLike, data: Mapping[str, object]) -> Self:
         """Restore what :meth:`to_dict` gave.
 
-        Raises
-        ------
-        ValueError
-            If the data do not belong to this kind of model.
+        Raises `ValueError` if the data do not belong to this kind of model.
         """
         nodes = len(model.node_names)
         observer = cls(model, values, np.zeros(nodes), np.eye(nodes))
-        observer._one.restore(0, data)
+        observer.one.restore(0, data)
         return observer
 
 
 def advance(
-    observers: Sequence[Observer], steps: Sequence[Step]
+    observers: Sequence[Observer], steps: Sequence[Observation]
 ) -> list[dict[str, Innovation] | ValueError]:
     """Advance many machines, each as by its own `Observer.predict` and `Observer.update`.
 
     Machines of one network form cost one call. They then share arrays, until one of them is
-    advanced together with a machine that is not among them.
-
-    Parameters
-    ----------
-    observers
-        The observers, each of them once.
-    steps
-        (observers,) what each one has to take in.
-
-    Returns
-    -------
-    list
-        (observers,) the innovations, or what `Observer.predict` or `Observer.update` raises.
+    advanced together with a machine that is not among them. Each observer is given once. Returns
+    their innovations, or what `Observer.predict` or `Observer.update` raises.
     """
     results: list[dict[str, Innovation] | ValueError] = [{} for _ in observers]
     sharing: dict[Observers, list[int]] = {}
@@ -313,7 +234,7 @@ def advance(
         numbers = sum(step.inputs, step.dt_s + step.speed_rpm + step.load_n + step.ambient_c)
         usual = isfinite(numbers) and step.dt_s >= 0.0
         if usual and len(step.inputs) == len(observer.model.input_names):
-            sharing.setdefault(observer._shared, []).append(k)
+            sharing.setdefault(observer.shared, []).append(k)
             continue
         try:
             observer.predict(*step[:5])
@@ -322,7 +243,7 @@ def advance(
             results[k] = error
     forms: dict[object, list[int]] = {}
     for shared, found in sharing.items():
-        forms.setdefault(shared.form, []).extend(found)
+        forms.setdefault(shared.form.key, []).extend(found)
     for places in forms.values():
         advanced = _advance_form([observers[k] for k in places], [steps[k] for k in places])
         for k, result in zip(places, advanced, strict=True):
@@ -331,7 +252,7 @@ def advance(
 
 
 def _advance_form(
-    observers: Sequence[Observer], steps: Sequence[Step]
+    observers: Sequence[Observer], steps: Sequence[Observation]
 ) -> Iterator[dict[str, Innovation] | ValueError]:
     """Advance machines of one form by steps that `Observer.predict` takes; gives the results."""
     many, rows = _shared(observers)
@@ -349,7 +270,7 @@ def _advance_form(
     ):
         error: ValueError | None = None
         if failed:
-            error = observer._ran_away(step.speed_rpm, step.load_n)
+            error = _ran_away(observer.model.name, step.speed_rpm, step.load_n)
         if error is None:
             try:
                 for name, reading in step.measured.items():
@@ -374,13 +295,20 @@ def _advance_form(
 def _shared(observers: Sequence[Observer]) -> tuple[Observers, list[int]]:
     """Arrays that hold the machines, and the row of each; they may hold others, too."""
     if len(observers) == 1:
-        return observers[0]._one, [0]
-    shared = observers[0]._shared
-    if any(observer._shared is not shared for observer in observers):
-        shared = Observers.joined([observer._one for observer in observers])
+        return observers[0].one, [0]
+    shared = observers[0].shared
+    if any(observer.shared is not shared for observer in observers):
+        shared = Observers.joined([observer.one for observer in observers])
         for row, observer in enumerate(observers):
-            observer._share(shared, row)
-    return shared, [observer._row for observer in observers]
+            observer.share(shared, row)
+    return shared, [observer.place for observer in observers]
+
+
+def _ran_away(model: str, speed_rpm: float, load_n: float) -> SimulationError:
+    return SimulationError(
+        f"the observer's model {model!r} ran away at {abs(speed_rpm):g} rpm and "
+        f"{max(load_n, 0.0):g} N"
+    )
 
 
 def _check_reading(name: str, reading: float) -> None:
@@ -397,12 +325,8 @@ def not_colder_than(
     2002, 128): what is known hardly moves, what is not known goes to the bound and takes with it
     what depends on it.
 
-    Parameters
-    ----------
-    floor_c
-        Coldest temperature of the surroundings, now and as long as a body remembers, degC.
-    mean_c, covariance
-        Estimate (nodes,) in degC and its covariance (nodes, nodes) in K2.
+    `floor_c`: coldest temperature of the surroundings, now and as long as a body remembers, degC;
+    `mean_c`, `covariance`: estimate (nodes,) in degC and its covariance (nodes, nodes) in K2.
     """
     mean = np.asarray(mean_c, np.float64)
     if mean.min() >= floor_c - 1e-9:

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from functools import cached_property
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,37 +19,48 @@ from twin_core.kalman import (
 from twin_core.machine_state import MachineState, course_known
 from twin_core.models import ThermalModel
 from twin_core.process_noise import disturbance_structure
-from twin_core.profiles import OperatingPoint
+from twin_core.profiles import Point
 from twin_core.simulation import kernels
 from twin_core.simulation.compiling import kernel_array
 
 FloatArray = NDArray[np.float64]
 
 
+class Form:
+    """A model, and where the readings of its nodes and sensors go."""
+
+    def __init__(self, model: ThermalModel) -> None:
+        self.model = model
+        # A node's own sensor goes before a standard one of the same name.
+        names = dict.fromkeys((*model.node_names, *model.sensor_names))
+        self.column = {name: column for column, name in enumerate(names)}
+        self.rows = kernel_array(model.sensor_matrix(list(names)))
+        self.every = np.arange(len(names))
+
+    @cached_property
+    def key(self) -> tuple[object, ...]:
+        """What the models of machines must have in common to be advanced together."""
+        net = [np.asarray(part).tobytes() for part in self.model.compiled]
+        return *net, *self.column, self.rows.tobytes(), self.model.input_names
+
+
+class States(NamedTuple):
+    """All that the filters of machines hold."""
+
+    machines: Machines
+    modes: Modes
+    estimates: Estimates
+
+
 class Observers:
     """Kalman filters of machines of one network form: every array has one row per machine.
 
-    One call advances all of them, as many calls of `Observer` would.
+    One call advances all of them. A single machine is a row, see `twin_core.observer`.
 
-    Parameters
-    ----------
-    model
-        The model; its values are those of no machine.
-    values
-        Parameters of the machines, shape (n, p), physical units.
-    temperatures_c
-        Means, shape (n, nodes).
-    covariance
-        In K2, shape (n, nodes, nodes).
-    revolutions
-        Revolutions since greasing, shape (n,).
-
-    Raises
-    ------
-    ValueError
-        If a shape is wrong or a value not finite.
-    SimulationError
-        If the model has no steady state at a usual operating point.
+    `model`: its values are those of no machine; `values`: parameters of the machines, shape (n, p),
+    physical units; `temperatures_c`: means, shape (n, nodes); `covariance`: in K2, shape (n, nodes,
+    nodes); `revolutions` since greasing, shape (n,). Raises `ValueError` if a shape is wrong or a
+    value not finite, `SimulationError` if the model has no steady state at a usual operating point.
     """
 
     def __init__(
@@ -79,128 +90,80 @@ class Observers:
                 )
             if not np.isfinite(array).all():
                 raise ValueError(f"{name} is not finite: {array.tolist()}")
-        self._model = model
-        # A node's own sensor goes before a standard one of the same name.
-        names = dict.fromkeys((*model.node_names, *model.sensor_names))
-        self._column = {name: column for column, name in enumerate(names)}
-        self._rows = kernel_array(model.sensor_matrix(list(names)))
-        self._every = np.arange(len(names))
-        bound = [kernels.bind_network(model.compiled, row) for row in own]
-        capacity, coefficient, friction = (
-            np.array([parts[k] for parts in bound]) for k in range(3)
-        )
-        structure = np.array([disturbance_structure(model, row) for row in own])
-        self._machines = Machines(
-            own,
-            capacity,
-            coefficient,
-            friction,
-            structure,
-            np.sqrt((structure**2).sum(axis=2)),
-        )
-        self._modes = Modes(
-            np.full((machines, 2), np.nan),
-            np.full((machines, len(model.input_names)), np.nan),
-            np.zeros((machines, nodes)),
-            np.zeros((machines, nodes, nodes)),
-            np.zeros((machines, nodes, nodes)),
-            np.zeros((machines, nodes)),
-            np.zeros(machines),
-        )
-        self._estimates = Estimates(
-            mean,
-            np.zeros((machines, nodes)),
-            kernel_array((spread + spread.transpose(0, 2, 1)) / 2.0),
-            np.zeros((machines, nodes, nodes)),
-            np.tile(np.eye(nodes), (machines, 1, 1)),
-            turned,
-            np.zeros(machines),
-            np.full((machines, len(names)), SENSOR_DRIFT_TIME_S),
-        )
+        self.form = Form(model)
+        self.states = _new_states(self.form, own, mean, spread, turned)
+
+    @classmethod
+    def of(cls, form: Form, states: States) -> Self:
+        """Observers of a model with these states."""
+        result = object.__new__(cls)
+        result.form, result.states = form, states
+        return result
 
     @classmethod
     def joined(cls, parts: "Sequence[Observers]") -> Self:
-        """Copy the machines of several, all of one form, into one; see `form`."""
-        states = zip(*(part._states() for part in parts), strict=True)
-        return cls._of(
-            parts[0], *([np.concatenate(arrays) for arrays in zip(*s, strict=True)] for s in states)
-        )
+        """Copy the machines of several, all of one form, into one; see `Form.key`."""
 
-    def row(self, machine: int, of: "Observers") -> Self:
-        """A machine alone with the model that *of* has: a view, what happens to one does to both.
+        def join(states: Sequence[tuple[FloatArray, ...]]) -> list[FloatArray]:
+            return [np.concatenate(arrays) for arrays in zip(*states, strict=True)]
 
-        *of* is of this form, see `form`.
-        """
+        machines, modes, estimates = zip(*(part.states for part in parts), strict=True)
+        states = States(Machines(*join(machines)), Modes(*join(modes)), Estimates(*join(estimates)))
+        return cls.of(parts[0].form, states)
+
+    def row(self, machine: int, form: Form) -> Self:
+        """Return a machine alone, with a model of the same form: a view of its row."""
         only = slice(machine, machine + 1)
-        return self._of(of, *([array[only] for array in state] for state in self._states()))
-
-    def _states(self) -> tuple[Machines, Modes, Estimates]:
-        return self._machines, self._modes, self._estimates
-
-    @classmethod
-    def _of(cls, like: "Observers", *states: Sequence[FloatArray]) -> Self:
-        """Observers of the model that others have, with other arrays."""
-        result = object.__new__(cls)
-        result._model, result._column = like._model, like._column
-        result._rows, result._every = like._rows, like._every
-        machines, modes, estimates = states
-        result._machines, result._modes = Machines(*machines), Modes(*modes)
-        result._estimates = Estimates(*estimates)
-        return result
-
-    @cached_property
-    def form(self) -> tuple[object, ...]:
-        """What the models of machines must have in common to be advanced together."""
-        net = [np.asarray(part).tobytes() for part in self._model.compiled]
-        return *net, *self._column, self._rows.tobytes(), self._model.input_names
+        machines, modes, estimates = ([array[only] for array in part] for part in self.states)
+        return self.of(form, States(Machines(*machines), Modes(*modes), Estimates(*estimates)))
 
     @property
     def model(self) -> ThermalModel:
         """The model in use."""
-        return self._model
+        return self.form.model
 
     @property
     def values(self) -> FloatArray:
         """The parameters in use, shape (n, p)."""
-        return self._machines.values.copy()
+        return self.states.machines.values.copy()
 
     @property
     def size(self) -> int:
         """Number of machines, n."""
-        return len(self._machines.values)
+        return len(self.states.machines.values)
 
     @property
     def temperatures_c(self) -> FloatArray:
         """Means of the node temperatures, shape (n, nodes)."""
-        return self._estimates.temperatures_c.copy()
+        return self.states.estimates.temperatures_c.copy()
 
     @property
     def covariance(self) -> FloatArray:
         """Covariances of the node temperatures in K2, shape (n, nodes, nodes)."""
-        return self._estimates.tt.copy()
+        return self.states.estimates.tt.copy()
 
     @property
     def revolutions(self) -> FloatArray:
         """Revolutions since greasing, shape (n,)."""
-        return self._estimates.revolutions.copy()
+        return self.states.estimates.revolutions.copy()
 
-    def operating_point(self, machine: int) -> OperatingPoint | None:
+    def operating_point(self, machine: int) -> Point | None:
         """Operating point of a machine's last step; None before the first."""
-        speed_rpm, load_n = self._modes.point[machine].tolist()
+        speed_rpm, load_n = self.states.modes.point[machine].tolist()
         if np.isnan(speed_rpm):
             return None
-        inputs = tuple(self._modes.given[machine].tolist())
-        return OperatingPoint(speed_rpm, load_n, float(self._modes.ambient_c[machine]), inputs)
+        inputs = tuple(self.states.modes.given[machine].tolist())
+        return Point(speed_rpm, load_n, float(self.states.modes.ambient_c[machine]), inputs)
 
     def heat_disturbance_w(self, machine: int) -> FloatArray:
         """Heat in W that a machine's model lacks per node, (nodes,); see `Observer`."""
-        known, estimates = self._machines, self._estimates
-        if np.isnan(self._modes.point[machine, 0]):
-            return np.zeros(len(self._model.node_names))
+        known, estimates = self.states.machines, self.states.estimates
+        if np.isnan(self.states.modes.point[machine, 0]):
+            return np.zeros(len(self.model.node_names))
         brought_w = disturbance_heats_w(
             known.structure[machine],
             known.structure_size[machine],
-            self._modes.tie_w_k[machine],
+            self.states.modes.tie_w_k[machine],
             float(estimates.heat_w[machine]),
         )
         return np.asarray(brought_w @ estimates.disturbances[machine])
@@ -217,15 +180,8 @@ class Observers:
 
         Each is (n,) or one number for all; the network's inputs, if it has any, are (n, k) or (k,).
 
-        Returns
-        -------
-        ndarray
-            (n,) machines whose model runs away; they are left as they were.
-
-        Raises
-        ------
-        ValueError
-            If a *dt_s* is negative, an argument is not finite or an input is missing.
+        Returns (n,) machines whose model runs away; they are left as they were. Raises `ValueError`
+        if a *dt_s* is negative, an argument is not finite or an input is missing.
         """
         columns = {"dt_s": dt_s, "speed_rpm": speed_rpm, "load_n": load_n, "ambient_c": ambient_c}
         given = np.empty((len(columns), self.size))
@@ -240,40 +196,28 @@ class Observers:
                     f"predict: {name} of machine {machine} is {array[machine]}, expected finite "
                     "numbers and dt_s >= 0"
                 )
-        count = len(self._model.input_names)
+        count = len(self.model.input_names)
         drives = np.asarray(inputs, np.float64)
         if drives.shape[-1] != count or not np.isfinite(drives).all():
             for row in np.atleast_2d(drives):
-                self._model.holding(row)
+                self.model.holding(row)
         every = np.empty((self.size, count))
         every[:] = drives
         return self.advance(given, every)
 
     def advance(self, given: FloatArray, inputs: FloatArray) -> NDArray[np.bool_]:
         """`predict` without its checks: *given* has the rows dt_s, speed_rpm, load_n, ambient_c."""
-        ran_away = advance_range(self._model.compiled, *self._states(), given, inputs)
+        ran_away = advance_range(self.model.compiled, *self.states, given, inputs)
         return np.asarray(ran_away)
 
     def update(self, names: Sequence[str], readings: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Take in readings of any sensors.
 
-        Parameters
-        ----------
-        names
-            Sensors or nodes.
-        readings
-            (n, names) temperatures in degC, NaN where there is none; good readings only.
-
-        Returns
-        -------
-        difference_k, std_k : ndarray
-            (n, names) reading minus expectation, and the expected standard deviation of that,
-            against the state before this call; NaN where there is no reading.
-
-        Raises
-        ------
-        ValueError
-            If a name is unknown or a shape wrong; nothing is taken in then.
+        `names`: sensors or nodes; `readings` (n, names) temperatures in degC, NaN where there is
+        none; good readings only. Returns `difference_k`, `std_k`: (n, names) reading minus
+        expectation, and the expected standard deviation of that, against the state before this
+        call; NaN where there is no reading. Raises `ValueError` if a name is unknown or a shape
+        wrong; nothing changes then.
         """
         table = kernel_array(readings)
         if table.shape != (self.size, len(names)):
@@ -281,30 +225,28 @@ class Observers:
                 f"readings have shape {table.shape}, expected {(self.size, len(names))}"
             )
         columns = np.array([self.column(name) for name in names], np.int64)
-        difference_k, std_k = update_range(self._rows[columns], columns, table, self._estimates)
+        difference_k, std_k = update_range(
+            self.form.rows[columns], columns, table, self.states.estimates
+        )
         return difference_k, std_k
 
     def take(self, table: FloatArray) -> tuple[FloatArray, FloatArray]:
         """`update` without its checks: *table* (n, readable) has all `readable` in their order."""
-        difference_k, std_k = update_range(self._rows, self._every, table, self._estimates)
+        difference_k, std_k = update_range(
+            self.form.rows, self.form.every, table, self.states.estimates
+        )
         return difference_k, std_k
 
     def column(self, name: str) -> int:
-        """Place of a sensor or node among `readable`.
-
-        Raises
-        ------
-        ValueError
-            If there is no such sensor or node.
-        """
-        if name not in self._column:
-            self._model.sensor_row(name)  # raises, and says which there are
-        return self._column[name]
+        """Place of a sensor or node among `readable`; raises `ValueError` if there is no such."""
+        if name not in self.form.column:
+            self.model.sensor_row(name)  # raises, and says which there are
+        return self.form.column[name]
 
     @property
     def readable(self) -> Sequence[str]:
         """The nodes and sensors that can be read."""
-        return tuple(self._column)
+        return tuple(self.form.column)
 
     def state(
         self,
@@ -315,10 +257,10 @@ class Observers:
         followed_s: float = np.inf,
     ) -> MachineState:
         """Return the state of a machine; see `Observer.state`."""
-        point, estimates = self.operating_point(machine), self._estimates
-        if point is None and (ambient_c is None or (inputs is None and self._model.input_names)):
+        point, estimates = self.operating_point(machine), self.states.estimates
+        if point is None and (ambient_c is None or (inputs is None and self.model.input_names)):
             raise ValueError("the observer has made no step yet: give ambient_c and all inputs")
-        last = point or OperatingPoint(0.0, 0.0, 0.0)
+        last = point or Point(0.0, 0.0, 0.0)
         return MachineState(
             temperatures_c=estimates.temperatures_c[machine].copy(),
             covariance=estimates.tt[machine].copy(),
@@ -332,11 +274,11 @@ class Observers:
 
     def renew_grease(self, machine: int) -> None:
         """Count the revolutions of a machine from zero again: the grease is fresh."""
-        self._estimates.revolutions[machine] = 0.0
+        self.states.estimates.revolutions[machine] = 0.0
 
     def to_dict(self, machine: int) -> dict[str, object]:
         """Return the whole state of a machine as plain JSON types; the model is not in it."""
-        estimates, nodes = self._estimates, len(self._model.node_names)
+        estimates, nodes = self.states.estimates, len(self.model.node_names)
         covariance = np.empty((2 * nodes, 2 * nodes))
         covariance[:nodes, :nodes] = estimates.tt[machine]
         covariance[:nodes, nodes:] = estimates.td[machine]
@@ -353,12 +295,9 @@ class Observers:
     def restore(self, machine: int, data: Mapping[str, object]) -> None:
         """Restore what `to_dict` gave.
 
-        Raises
-        ------
-        ValueError
-            If the data do not belong to this kind of model.
+        Raises `ValueError` if the data do not belong to this kind of model.
         """
-        nodes = len(self._model.node_names)
+        nodes = len(self.model.node_names)
         size = 2 * nodes
         state = np.asarray(data.get("state"), dtype=np.float64)
         covariance = np.asarray(data.get("covariance"), dtype=np.float64)
@@ -370,7 +309,7 @@ class Observers:
         if not (np.isfinite(state).all() and np.isfinite(covariance).all()):
             raise ValueError("observer state is not finite")
         revolutions, heat_w = (_number(data, name) for name in ("revolutions", "heat_w"))
-        estimates = self._estimates
+        estimates = self.states.estimates
         estimates.temperatures_c[machine] = state[:nodes]
         estimates.disturbances[machine] = state[nodes:]
         estimates.tt[machine] = covariance[:nodes, :nodes]
@@ -381,24 +320,58 @@ class Observers:
     def with_parameters(self, model: ThermalModel, values: ArrayLike) -> "Observers":
         """Continue with another model or other parameters (n, p) and the same temperatures.
 
-        The heat disturbances start anew: what they had learned was the old model's error.
+        The heat disturbances start again: what they had learned was the old model's error.
 
-        Raises
-        ------
-        ValueError
-            If the model has other nodes, or *values* has the wrong shape.
+        Raises `ValueError` if the model has other nodes, or *values* has the wrong shape.
         """
-        if model.node_names != self._model.node_names:
-            raise ValueError(
-                f"model {model.name!r} has other nodes than model {self._model.name!r}"
-            )
+        if model.node_names != self.model.node_names:
+            raise ValueError(f"model {model.name!r} has other nodes than model {self.model.name!r}")
         swapped = Observers(model, values, self.temperatures_c, self.covariance, self.revolutions)
-        swapped._estimates.heat_w[:] = self._estimates.heat_w
-        for name, column in swapped._column.items():
-            if name in self._column:
-                since_s = self._estimates.elapsed_s[:, self._column[name]]
-                swapped._estimates.elapsed_s[:, column] = since_s
+        swapped.states.estimates.heat_w[:] = self.states.estimates.heat_w
+        for name, column in swapped.form.column.items():
+            if name in self.form.column:
+                since_s = self.states.estimates.elapsed_s[:, self.form.column[name]]
+                swapped.states.estimates.elapsed_s[:, column] = since_s
         return swapped
+
+
+def _new_states(
+    form: Form, own: FloatArray, mean: FloatArray, spread: FloatArray, turned: FloatArray
+) -> States:
+    """States of machines with these parameters and estimates that have made no step yet."""
+    model, (machines, nodes) = form.model, mean.shape
+    bound = [kernels.bind_network(model.compiled, row) for row in own]
+    capacity, coefficient, friction = (np.array([parts[k] for parts in bound]) for k in range(3))
+    structure = np.array([disturbance_structure(model, row) for row in own])
+    return States(
+        Machines(
+            own,
+            capacity,
+            coefficient,
+            friction,
+            structure,
+            np.sqrt((structure**2).sum(axis=2)),
+        ),
+        Modes(
+            np.full((machines, 2), np.nan),
+            np.full((machines, len(model.input_names)), np.nan),
+            np.zeros((machines, nodes)),
+            np.zeros((machines, nodes, nodes)),
+            np.zeros((machines, nodes, nodes)),
+            np.zeros((machines, nodes)),
+            np.zeros(machines),
+        ),
+        Estimates(
+            mean,
+            np.zeros((machines, nodes)),
+            kernel_array((spread + spread.transpose(0, 2, 1)) / 2.0),
+            np.zeros((machines, nodes, nodes)),
+            np.tile(np.eye(nodes), (machines, 1, 1)),
+            turned,
+            np.zeros(machines),
+            np.full((machines, len(form.column)), SENSOR_DRIFT_TIME_S),
+        ),
+    )
 
 
 def _number(data: Mapping[str, object], name: str) -> float:

@@ -31,7 +31,7 @@ NEW_LOAD = 0.08
 
 
 @dataclass(frozen=True, slots=True)
-class OperatingPoint:
+class OperatingSpan:
     """A span of constant speed and load; means over the span."""
 
     speed_rpm: float
@@ -49,27 +49,21 @@ class OperatingPoint:
         return asdict(self)
 
     @classmethod
-    def from_dict(cls, document: Mapping[str, float]) -> "OperatingPoint":
+    def from_dict(cls, document: Mapping[str, float]) -> "OperatingSpan":
         """Take back what `to_dict` gave."""
         return cls(**{field.name: float(document[field.name]) for field in fields(cls)})
 
 
 def split(
     time_s: FloatArray, speed_rpm: FloatArray, load_n: FloatArray, spacing_s: float = 60.0
-) -> tuple[OperatingPoint, ...]:
-    """Split rows into spans of constant speed and load.
+) -> tuple[OperatingSpan, ...]:
+    """Split rows (n,), finite, into spans of constant speed and load.
 
     A row belongs to the present span while it stays near the span's running mean. Spans shorter
-    than three minutes (ramps) and standstill are left out.
-
-    Parameters
-    ----------
-    time_s, speed_rpm, load_n
-        Shape (n,), finite.
-    spacing_s
-        How long the last row of a span lasts.
+    than three minutes (ramps) and standstill are left out. The last row of a span lasts
+    `spacing_s`.
     """
-    points: list[OperatingPoint] = []
+    points: list[OperatingSpan] = []
     span: list[int] = []
     speed_mean = load_mean = 0.0
 
@@ -89,7 +83,7 @@ def split(
         ):
             points[-1] = _joined(last, speed_mean, load_mean, duration_s, start_s)
         else:
-            points.append(OperatingPoint(speed_mean, load_mean, duration_s, start_s))
+            points.append(OperatingSpan(speed_mean, load_mean, duration_s, start_s))
 
     for row in range(time_s.size):
         speed, load = float(abs(speed_rpm[row])), float(load_n[row])
@@ -108,9 +102,9 @@ def varying_duty(
     time_s: FloatArray,
     speed_rpm: FloatArray,
     load_n: FloatArray,
-    points: Sequence[OperatingPoint],
+    points: Sequence[OperatingSpan],
     spacing_s: float = 60.0,
-) -> tuple[OperatingPoint, ...]:
+) -> tuple[OperatingSpan, ...]:
     """Sum up the duty of a machine that is held nowhere: where it ran, and for how long.
 
     A vehicle's motor never holds a point. What its temperatures follow is the mean over minutes of
@@ -118,20 +112,10 @@ def varying_duty(
     three minutes, the shortest time that makes an operating point, and blocks alike are put
     together. Faster changes leave one mean, which is all that they teach.
 
-    Parameters
-    ----------
-    time_s, speed_rpm, load_n
-        Shape (n,), finite.
-    points
-        The operating points of these rows, from `split`.
-    spacing_s
-        How long the last row of a block lasts.
-
-    Returns
-    -------
-    tuple of OperatingPoint
-        Each with the time in all, from the first block on. Empty unless the duty varies for 20 min
-        and a quarter of the time on the running machine.
+    `time_s`, `speed_rpm`, `load_n` (n,), finite; `points`: the operating points of these rows, from
+    `split`; `spacing_s`: how long the last row of a block lasts. Each point has its time in all,
+    from the first block on. Empty unless the duty varies for 20 min and a quarter of the time on
+    the running machine.
     """
     held = np.zeros(time_s.size, dtype=np.bool_)
     for point in points:
@@ -142,7 +126,7 @@ def varying_duty(
     varying_s = float(np.sum(lasts_s[running & ~held]))
     if varying_s < max(_VARYING_S, _VARYING_SHARE * float(np.sum(lasts_s[running]))):
         return ()
-    blocks: list[OperatingPoint] = []
+    blocks: list[OperatingSpan] = []
     rows: list[int] = []
     for row in range(time_s.size + 1):
         ends = row == time_s.size or held[row] or not running[row]
@@ -163,9 +147,9 @@ def _mean_point(
     load_n: FloatArray,
     lasts_s: FloatArray,
     rows: list[int],
-) -> OperatingPoint:
+) -> OperatingSpan:
     weights = lasts_s[rows]
-    return OperatingPoint(
+    return OperatingSpan(
         speed_rpm=float(np.average(np.abs(speed_rpm[rows]), weights=weights)),
         load_n=float(np.average(load_n[rows], weights=weights)),
         duration_s=float(np.sum(weights)),
@@ -174,8 +158,8 @@ def _mean_point(
 
 
 def taught_values(
-    points: Sequence[OperatingPoint],
-    duty: Sequence[OperatingPoint],
+    points: Sequence[OperatingSpan],
+    duty: Sequence[OperatingSpan],
     quantity: Literal["speed_rpm", "load_n"],
     relative: float,
 ) -> list[float]:
@@ -200,10 +184,10 @@ def _near(value: float, reference: float, tolerance: tuple[float, float]) -> boo
 
 
 def _joined(
-    last: OperatingPoint, speed_rpm: float, load_n: float, duration_s: float, start_s: float
-) -> OperatingPoint:
+    last: OperatingSpan, speed_rpm: float, load_n: float, duration_s: float, start_s: float
+) -> OperatingSpan:
     weight = duration_s / (duration_s + last.duration_s)
-    return OperatingPoint(
+    return OperatingSpan(
         speed_rpm=(1.0 - weight) * last.speed_rpm + weight * speed_rpm,
         load_n=(1.0 - weight) * last.load_n + weight * load_n,
         duration_s=start_s + duration_s - last.start_s,
@@ -212,7 +196,7 @@ def _joined(
 
 
 def alike(first: float, second: float, relative: float) -> bool:
-    """Tell whether two positive numbers differ by at most a relative amount."""
+    """Return whether two positive numbers differ by at most a relative amount."""
     return abs(first - second) <= relative * max(abs(first), abs(second))
 
 
@@ -226,23 +210,18 @@ def distinct_values(values: Sequence[float], relative: float) -> list[float]:
 
 
 def new_points(
-    known: Sequence[OperatingPoint],
-    candidates: Sequence[OperatingPoint],
+    known: Sequence[OperatingSpan],
+    candidates: Sequence[OperatingSpan],
     min_duration_s: float,
-) -> list[OperatingPoint]:
+) -> list[OperatingSpan]:
     """Return the candidates that no known point is like, each once.
 
     A point is new when its speed differs by more than 10 % or its load by more than 8 % from every
     known one. Spans at alike points add up.
 
-    Parameters
-    ----------
-    known, candidates
-        Operating points, in any order.
-    min_duration_s
-        Shortest total time at a new point that counts.
+    `min_duration_s`: shortest total time at a new point that counts.
     """
-    found: list[OperatingPoint] = []
+    found: list[OperatingSpan] = []
     for point in candidates:
         if any(alike_points(point, other) for other in known):
             continue
@@ -256,7 +235,7 @@ def new_points(
     return [point for point in found if point.duration_s >= min_duration_s]
 
 
-def usual_levels(points: Sequence[OperatingPoint]) -> tuple[tuple[float, float], ...]:
+def usual_levels(points: Sequence[OperatingSpan]) -> tuple[tuple[float, float], ...]:
     """Speed in rpm and load in N of the lighter, the middle and the heavier third of the time.
 
     Each is the mean over the points of that third, sorted by what a bearing's heat follows.
@@ -280,13 +259,13 @@ def usual_levels(points: Sequence[OperatingPoint]) -> tuple[tuple[float, float],
     return tuple(dict.fromkeys(levels))
 
 
-def demand(point: OperatingPoint) -> float:
+def demand(point: OperatingSpan) -> float:
     """Something that grows with the heat of a bearing: speed, and load to a middling exponent."""
     return float(point.speed_rpm * max(point.load_n, 1.0) ** 0.6)
 
 
-def alike_points(first: OperatingPoint, second: OperatingPoint) -> bool:
-    """Tell whether two points are at most 10 % of speed and 8 % of load apart."""
+def alike_points(first: OperatingSpan, second: OperatingSpan) -> bool:
+    """Return whether two points are at most 10 % of speed and 8 % of load apart."""
     return alike(first.speed_rpm, second.speed_rpm, NEW_SPEED) and alike(
         first.load_n, second.load_n, NEW_LOAD
     )

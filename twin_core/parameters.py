@@ -6,6 +6,7 @@ them weigh the same whatever their unit. A ``"log"`` parameter is ``centre * exp
 """
 
 import math
+from collections import Counter
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -20,28 +21,17 @@ Z_LIMIT = 4.0
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One unknown of a model.
+    """One unknown of a model."""
 
-    Parameters
-    ----------
-    name, unit, description
-        For people and reports; *name* is unique within a model.
-    transform
-        ``"log"`` for positive quantities that may span decades, ``"linear"`` otherwise.
-    centre
-        Prior median, in *unit*.
-    spread
-        Prior standard deviation: of the natural logarithm (``"log"``) or in *unit*.
-    lower, upper
-        Physical bounds in *unit*; by default only the clip at ``|z| = 4`` holds.
-    """
-
+    #: *name* is unique within a model
     name: str
     unit: str
     description: str
+    #: ``"log"`` for positive quantities that may span decades, ``"linear"`` otherwise.
     transform: Transform
-    centre: float
-    spread: float
+    centre: float  # prior median, in *unit*
+    spread: float  # prior standard deviation: of the natural logarithm (``"log"``) or in *unit*
+    #: Physical bounds in *unit*; by default only the clip at ``|z| = 4`` holds.
     lower: float = -math.inf
     upper: float = math.inf
 
@@ -78,9 +68,9 @@ class ParameterSet:
 
     def __post_init__(self) -> None:
         names = [parameter.name for parameter in self.parameters]
-        for name in names:
-            if names.count(name) > 1:
-                raise ValueError(f"parameter {name!r} is defined more than once")
+        twice = next((name for name, times in Counter(names).items() if times > 1), None)
+        if twice is not None:
+            raise ValueError(f"parameter {twice!r} is defined more than once")
         is_log = np.array([p.transform == "log" for p in self.parameters], dtype=np.bool_)
         centre = np.array([p.centre for p in self.parameters], dtype=np.float64)
         spread = np.array([p.spread for p in self.parameters], dtype=np.float64)
@@ -139,13 +129,7 @@ class ParameterSet:
         return self._to_z(self._upper)
 
     def index(self, name: str) -> int:
-        """Return the position of parameter *name*.
-
-        Raises
-        ------
-        KeyError
-            If there is no such parameter.
-        """
+        """Position of a parameter; raises `KeyError` if there is no such parameter."""
         try:
             return self.names.index(name)
         except ValueError:
@@ -154,22 +138,9 @@ class ParameterSet:
             ) from None
 
     def values_from_z(self, z: ArrayLike) -> NDArray[np.float64]:
-        """Physical values of standard coordinates, clipped to ``|z| <= 4`` and to the bounds.
+        """Physical values of coordinates (..., p), clipped to ``|z| <= 4`` and to the bounds.
 
-        Parameters
-        ----------
-        z
-            Shape (..., p).
-
-        Returns
-        -------
-        ndarray
-            Same shape, physical units.
-
-        Raises
-        ------
-        ValueError
-            If the last axis does not hold p coordinates.
+        Raises `ValueError` if the last axis does not hold p coordinates.
         """
         clipped = np.clip(self._checked(z, "z"), -Z_LIMIT, Z_LIMIT)
         scaled = self._spread * clipped
@@ -182,37 +153,16 @@ class ParameterSet:
         return bounded
 
     def z_from_values(self, values: ArrayLike) -> NDArray[np.float64]:
-        """Standard coordinates of physical values (clipped to the bounds first).
+        """Coordinates of physical values (..., p), clipped to the bounds and ``|z| <= 4``.
 
-        Parameters
-        ----------
-        values
-            Shape (..., p), physical units.
-
-        Returns
-        -------
-        ndarray
-            Same shape, within ``|z| <= 4``.
-
-        Raises
-        ------
-        ValueError
-            If the last axis does not hold p values.
+        Raises `ValueError` if the last axis does not hold p values.
         """
         return self._to_z(np.clip(self._checked(values, "values"), self._lower, self._upper))
 
     def slopes_by_z(self, z: ArrayLike) -> NDArray[np.float64]:
-        """Derivatives of `values_from_z` inside the bounds, shape as *z*, physical units.
+        """Derivatives of `values_from_z` inside the bounds, (..., p) as *z*, in physical units.
 
-        Parameters
-        ----------
-        z
-            Shape (..., p).
-
-        Raises
-        ------
-        ValueError
-            If the last axis does not hold p coordinates.
+        Raises `ValueError` if the last axis does not hold p coordinates.
         """
         return self._spread * np.where(self._is_log, self.values_from_z(z), 1.0)
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +30,7 @@ NODE_ERROR = 0.01
 """Standard deviations of the heat disturbances: of the friction heat as a whole, to which the
 losses count; of each node's share of it; of the heat through an edge, by its kind; of any node's
 heat, as a part of the friction heat. They are those of a model that has met its bench, somewhat
-less than the priors. Heat flows are taken in the steady state of the model's reference point."""
+less than the priors. Heat flows are those in the steady state of the model's reference point."""
 
 JOINT_ERROR = 0.5
 """How far a body that exchanges heat through joints alone may lie from where the model has it, by
@@ -58,20 +59,8 @@ LONG_RUN_IN = 1e9
 def disturbance_structure(model: ThermalModel, values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Heats that independent unit disturbances bring to the nodes, per watt of friction heat.
 
-    Parameters
-    ----------
-    model, values
-        The model and its parameters, shape (p,).
-
-    Returns
-    -------
-    ndarray
-        Shape (nodes, nodes), a factor L of the covariance L L'.
-
-    Raises
-    ------
-    SimulationError
-        If the model has no steady state at the reference point.
+    Returns (nodes, nodes), a factor L of the covariance L L', for the parameters `values` (p,).
+    Raises `SimulationError` if the model has no steady state at the reference point.
     """
     model = model.at_reference(0.0)
     compiled = model.compiled
@@ -115,23 +104,9 @@ def hidden_spread(model: ThermalModel, values: NDArray[np.float64]) -> NDArray[n
     """How far unmeasured nodes may lie from a model that agrees with all its sensors.
 
     The steady deviations that the heat disturbances cause at the model's reference point, given
-    that no sensor deviates.
-
-    Parameters
-    ----------
-    model, values
-        The model and its parameters, shape (p,).
-
-    Returns
-    -------
-    ndarray
-        Shape (nodes, nodes): a factor S of the covariance S S', in K per kelvin of the sensors'
-        mean rise over ambient.
-
-    Raises
-    ------
-    SimulationError
-        If the model has no steady state at the reference point.
+    that no sensor deviates: (nodes, nodes), a factor S of the covariance S S', in K per kelvin of
+    the sensors' mean rise over ambient, for the parameters `values` (p,). Raises `SimulationError`
+    if the model has no steady state at the reference point.
     """
     model = model.at_reference(0.0)
     speed, load = model.reference_point
@@ -148,16 +123,15 @@ def hidden_spread(model: ThermalModel, values: NDArray[np.float64]) -> NDArray[n
     return result
 
 
+@lru_cache(maxsize=64)
 def between_joints(model: ThermalModel) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Bodies that exchange heat through joints alone, such as a sleeve between ring and shaft.
 
-    Data tell, if anything, a scale of resistances, which leaves such a body where it is; what
+    Data show, if anything, a scale of resistances, which leaves such a body where it is; what
     moves it is the ratio of its joints. See `JOINT_ERROR`.
 
-    Returns
-    -------
-    bodies, neighbours : ndarray
-        Shape (pairs,): the places of the body and of what it is joined to, among the model's nodes.
+    Returns `bodies`, `neighbours`: shape (pairs,): the places of the body and of what it is joined
+    to, among the model's nodes.
     """
     compiled = model.compiled
     nodes = len(model.node_names)
@@ -181,17 +155,8 @@ def joint_variance(
 ) -> NDArray[np.float64]:
     """Variance of bodies between joints, for where between their neighbours they lie.
 
-    Parameters
-    ----------
-    joints
-        From `between_joints`.
-    temperatures_c
-        (..., nodes) in degC.
-
-    Returns
-    -------
-    ndarray
-        (..., nodes) in K2; zero of all other nodes. See `JOINT_ERROR`.
+    `joints`: from `between_joints`; `temperatures_c` (..., nodes) in degC. Returns (..., nodes) in
+    K2; zero of all other nodes. See `JOINT_ERROR`.
     """
     bodies, neighbours = joints
     variance = np.zeros(temperatures_c.shape)
@@ -213,17 +178,8 @@ def reading_errors(model: ThermalModel, names: Iterable[str]) -> dict[str, Error
     the cage of a 6311) is as doubtful as its place between them, with the prior's parameters at the
     reference point: a model that must follow it bends what is right elsewhere.
 
-    Parameters
-    ----------
-    model
-        The model.
-    names
-        Sensors and nodes.
-
-    Raises
-    ------
-    SimulationError
-        If such a body is read and the model has no steady state at the reference point.
+    Raises `SimulationError` if such a body is read and the model has no steady state at the
+    reference point.
     """
     errors = dict.fromkeys(names, model.errors)
     joints = between_joints(model)

@@ -54,24 +54,12 @@ class ReferencePoint:
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """A physical quantity of a machine at a reference point; always positive.
+    """A physical quantity of a machine at a reference point; always positive."""
 
-    Attributes
-    ----------
-    name
-        Unique, such as ``friction``, ``contact`` or the name of a sensor.
-    group
-        The parameters that make it up; None for one that depends on all of them.
-    unit
-        Its unit.
-    text
-        For people, with the point.
-    """
-
-    name: str
-    group: Group | None
+    name: str  # unique, such as ``friction``, ``contact`` or the name of a sensor
+    group: Group | None  # the parameters that make it up; None for one that depends on all of them
     unit: str
-    text: str
+    text: str  # for people, with the point
 
 
 def parameter_groups(model: NetworkModel) -> dict[str, Group]:
@@ -112,18 +100,8 @@ def reference_point(
 ) -> ReferencePoint:
     """Reference point at an operating point: with the lubricant as warm as it gets there.
 
-    Parameters
-    ----------
-    model, z
-        The model and standard coordinates (p,) of the machine.
-    speed_rpm, load_n
-        The operating point.
-
-    Returns
-    -------
-    ReferencePoint
-        With a temperature in whole tens of degC, so that it stays the same from version to
-        version; 60 where the model has no steady state.
+    `z` (p,) standard coordinates. The temperature is in whole tens of degC, so that it stays the
+    same from version to version; 60 where the model has no steady state.
     """
     values = model.parameters.values_from_z(z)
     model = model.at_reference(_AMBIENT_C)
@@ -167,19 +145,8 @@ def quantities(model: NetworkModel, point: ReferencePoint) -> tuple[Quantity, ..
 def evaluate(model: NetworkModel, z: FloatArray, point: ReferencePoint) -> FloatArray:
     """Values of `quantities` at one parameter vector.
 
-    Parameters
-    ----------
-    model
-        The model.
-    z
-        (p,) standard coordinates.
-    point
-        The reference point; running-in counts as over.
-
-    Returns
-    -------
-    ndarray
-        (k,) in the units of the quantities; NaN for steady rises that do not exist.
+    `z` (p,) standard coordinates; `z` (p,) standard coordinates; `point`: running-in counts as
+    over. Returns (k,) in the units of the quantities; NaN for steady rises that do not exist.
     """
     found = _without_rises(model, z, point)
     at_rest = model.at_reference(_AMBIENT_C)
@@ -237,12 +204,7 @@ def log_gradient(
 ) -> FloatArray:
     """Derivatives (k, p) of the logarithms of `quantities` by the standard coordinates.
 
-    Parameters
-    ----------
-    model, z, point
-        As for `evaluate`.
-    positions
-        Which coordinates, in order; all by default.
+    `positions`: which coordinates, in order; all by default.
     """
     columns = []
     rises = _RiseSlopes(model, z, point)

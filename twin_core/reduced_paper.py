@@ -1,4 +1,4 @@
-"""The paper's model in the combinations of its parameters that data can tell.
+"""The paper's model in the combinations of its parameters that data can separate.
 
 Of the paper's 15 parameters two rings' temperatures inform three to five combinations: the level of
 the viscous friction (f2 and the oil's viscosity only ever act together), the contact resistance
@@ -181,18 +181,8 @@ def paper_numbers(
 ) -> dict[str, NDArray[np.float64]]:
     """The 15 numbers of the paper that a reduced parameter vector stands for.
 
-    Parameters
-    ----------
-    parameters
-        `reduced_parameters` of the bearing.
-    values
-        (..., p) in physical units.
-
-    Returns
-    -------
-    dict
-        By the paper's names, each (...,). f2 belongs to a 100 mm2/s base oil and holds at 3000 rpm
-        and 60 degC.
+    `values` (..., p) in physical units. Returns by the paper's names, each (...,). f2 belongs to a
+    100 mm2/s base oil and holds at 3000 rpm and 60 degC.
     """
     values = np.asarray(values, dtype=np.float64)
     one = {name: values[..., k] for k, name in enumerate(parameters.names)}

@@ -29,16 +29,8 @@ def clearance_joint(
 ) -> float:
     """R4: two equal solids that touch on a fraction of the area, a fluid fills the rest.
 
-    Parameters
-    ----------
-    gap_m
-        Mean gap length Lg.
-    area_m2
-        Apparent area A.
-    contact_fraction
-        Ac / A.
-    conductivity_w_mk, fluid_conductivity_w_mk
-        Of the solids and of the fluid.
+    Mean gap length Lg, apparent area A, contact fraction Ac / A, conductivities of solids and
+    fluid.
     """
     per_area = (
         contact_fraction * conductivity_w_mk + (1.0 - contact_fraction) * fluid_conductivity_w_mk

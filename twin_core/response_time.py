@@ -32,46 +32,23 @@ _WEIGHTS = _weights()
 
 @dataclass(frozen=True, slots=True)
 class ResponseTime:
-    """The distribution of the time to respond, of many forecasts together.
+    """The distribution of the time to respond, of many forecasts together."""
 
-    Attributes
-    ----------
-    p05_s, p50_s
-        Quantiles in seconds; infinite where the limit is not reached within the horizon.
-    never_share
-        Share that does not reach the limit within the horizon.
-    forecasts
-        How many forecasts it rests on.
-    looked_at
-        How many there were; the others do not come so far.
-    """
-
+    #: Quantiles in seconds; infinite where the limit is not reached within the horizon.
     p05_s: float
     p50_s: float
-    never_share: float
-    forecasts: int
-    looked_at: int
+    never_share: float  # share that does not reach the limit within the horizon
+    forecasts: int  # how many forecasts it rests on
+    looked_at: int  # how many there were; the others do not come so far
 
 
 def crossing_times_s(
     lead_times_s: ArrayLike, quantiles_c: ArrayLike, limit_c: float, sooner_s: float
 ) -> FloatArray:
-    """Time at which each rank of a forecast reaches a limit first.
+    """Time (r,) in s at which each rank of a forecast first reaches a limit; infinite if never.
 
-    Parameters
-    ----------
-    lead_times_s
-        (l,) ascending.
-    quantiles_c
-        (l, 5) temperatures at `QUANTILE_LEVELS`.
-    limit_c
-        The limit.
-    sooner_s
-        What is said of a rank that is at the limit by the first lead time already.
-
-    Returns
-    -------
-    (r,) seconds; infinite where it is not reached.
+    `lead_times_s` (l,) ascending; `quantiles_c` (l, 5) at `QUANTILE_LEVELS`; `sooner_s` is what is
+    said of a rank that is at the limit by the first lead time already.
     """
     leads = np.asarray(lead_times_s, np.float64)
     paths = np.asarray(quantiles_c, np.float64) @ _WEIGHTS
@@ -90,21 +67,11 @@ def crossing_times_s(
 def time_between(
     forecasts: Iterable[tuple[ArrayLike, ArrayLike]], from_c: float, to_c: float
 ) -> ResponseTime | None:
-    """Tell how long it takes from one limit to a higher one.
+    """Return how long it takes from one limit to a higher one; None without any forecast.
 
     Only forecasts that reach the first limit count, each rank of them that does. A rank that is at
-    the first limit by the first lead time counts from there, so that no time is made up.
-
-    Parameters
-    ----------
-    forecasts
-        Lead times (l,) in seconds and quantiles (l, 5) in degC of each.
-    from_c, to_c
-        The limits.
-
-    Returns
-    -------
-    ResponseTime, or None where there is no forecast at all.
+    the first limit by the first lead time counts from there, so that no time is made up. Forecasts
+    are lead times (l,) in seconds and quantiles (l, 5) in degC.
     """
     found, looked_at = [], 0
     for leads_s, quantiles_c in forecasts:
@@ -121,20 +88,10 @@ def time_between(
 def time_to(
     forecasts: Iterable[tuple[ArrayLike, ArrayLike]], limit_c: float, probability: float
 ) -> ResponseTime | None:
-    """Tell how long it takes from a forecast that warns of a limit to that limit.
+    """Return how long it takes from a forecast that warns of a limit to that limit.
 
-    Parameters
-    ----------
-    forecasts
-        Lead times (l,) in seconds and quantiles (l, 5) in degC of each.
-    limit_c
-        The limit.
-    probability
-        A forecast warns of it where at least this share reaches it.
-
-    Returns
-    -------
-    ResponseTime, or None where there is no forecast at all.
+    A forecast warns of it where at least the share `probability` reaches it. None where there is no
+    forecast at all. Forecasts are lead times (l,) in seconds and quantiles (l, 5) in degC.
     """
     found, looked_at = [], 0
     for leads_s, quantiles_c in forecasts:

@@ -9,7 +9,7 @@ TURNS_RPM: Final = 30.0
 STANDSTILL_S: Final = 300
 """A machine that was seen at standstill, and did not turn for so long, has ended its run."""
 GAP_S: Final = 1800
-"""Without any reading for longer, nobody knows what the machine did: the run ends with its data."""
+"""Without a reading for longer, the machine's course is not known: the run ends with its data."""
 LEAST_S: Final = 120
 """Anything shorter is a jerk or a jog, and no run."""
 
@@ -40,19 +40,11 @@ class RunSpan:
 def find_runs(stretches: Iterable[Stretch], now_s: int) -> list[RunSpan]:
     """Find the runs of a machine.
 
-    Parameters
-    ----------
-    stretches
-        What is known of its speed, ascending, without overlaps. How it is cut does not matter: two
-        stretches that touch and are alike are the same as one.
-    now_s
-        Up to when the speed is known, or could be known.
-
-    Returns
-    -------
-    list of RunSpan
-        Ascending; only the last may go on. A run ends where the machine was last seen turning.
-        Its end is known to be a standstill, or the data ended while it turned.
+    `stretches`: what is known of its speed, ascending, without overlaps. How it is cut does not
+    matter: two stretches that touch and are alike are the same as one. `now_s`: up to when the
+    speed is known, or could be known. Runs are ascending; only the last may go on. A run ends where
+    the machine was last seen turning. Its end is known to be a standstill, or the data ended while
+    it turned.
     """
     found: list[RunSpan] = []
     begin_s: int | None = None

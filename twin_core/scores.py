@@ -56,25 +56,15 @@ def fitness(forecast_c: ArrayLike, measured_c: ArrayLike) -> float:
     """Return the sum of absolute errors in K over all rows and sensors, NaN without a measurement.
 
     Equation (25) of the paper, whose modulus bars got lost in print.
-
-    Parameters
-    ----------
-    forecast_c, measured_c
-        Same shape, such as (n, sensors).
     """
     errors = _errors(forecast_c, measured_c)
     return float(np.sum(np.abs(errors))) if errors.size else float("nan")
 
 
 def euclidean_distance(forecast_c: ArrayLike, measured_c: ArrayLike) -> float:
-    """Return the root of the sum of squared errors in K, NaN without a measurement.
+    """Return the root of the sum of squared errors (n,) in K, NaN without a measurement.
 
     The paper's distance between two curves (its section 5.2.2): RMS times the root of their length.
-
-    Parameters
-    ----------
-    forecast_c, measured_c
-        (n,) two curves.
     """
     errors = _errors(forecast_c, measured_c)
     return float(np.sqrt(np.sum(errors**2))) if errors.size else float("nan")
@@ -83,13 +73,8 @@ def euclidean_distance(forecast_c: ArrayLike, measured_c: ArrayLike) -> float:
 def r_squared(forecast_c: ArrayLike, measured_c: ArrayLike) -> float:
     """Return 1 minus squared errors over squared deviations of the measurements from their mean.
 
-    1 is perfect, 0 no better than the measurements' own mean, and it has no lower limit. NaN for
-    fewer than two measurements or constant ones.
-
-    Parameters
-    ----------
-    forecast_c, measured_c
-        (n,) forecast and measurements of one sensor.
+    Of one sensor, (n,). 1 is perfect, 0 no better than the measurements' own mean, and it has no
+    lower limit. NaN for fewer than two measurements or constant ones.
     """
     errors = _errors(forecast_c, measured_c)
     measured = np.asarray(measured_c, float)
@@ -131,16 +116,9 @@ def interval_score(
 
 
 def crps_from_members(members_c: ArrayLike, measured_c: ArrayLike) -> float:
-    """Return the mean continuous ranked probability score of an ensemble.
+    """Return the mean continuous ranked probability score of an ensemble (m, n), finite, in K.
 
-    CRPS = E|X - y| - E|X - X'| / 2, both X over the members.
-
-    Parameters
-    ----------
-    members_c
-        (m, n) finite ensemble members.
-    measured_c
-        (n,) measurements.
+    CRPS = E|X - y| - E|X - X'| / 2, both X over the members; `measured_c` (n,).
     """
     members = np.sort(np.asarray(members_c, float), axis=0)
     measured = np.asarray(measured_c, float)
@@ -156,16 +134,9 @@ def crps_from_members(members_c: ArrayLike, measured_c: ArrayLike) -> float:
 def crps_from_quantiles(
     quantiles_c: ArrayLike, levels: Sequence[float], measured_c: ArrayLike
 ) -> float:
-    """Return the mean CRPS approximated from quantiles, as the weighted pinball loss.
+    """Return the mean CRPS approximated from quantiles (q, n), as the weighted pinball loss.
 
-    Parameters
-    ----------
-    quantiles_c
-        (q, n) quantiles.
-    levels
-        (q,) ascending levels in (0, 1); each stands for the levels nearest to it.
-    measured_c
-        (n,) measurements.
+    `levels` (q,) ascending in (0, 1); each stands for the levels nearest to it. `measured_c` (n,).
     """
     quantiles, measured = np.asarray(quantiles_c, float), np.asarray(measured_c, float)
     level = np.asarray(levels, float)

@@ -4,14 +4,14 @@ A model is wrong in the same way on the same run, so where two data sets repeat 
 operating points its error cancels in their difference, and the posteriors, which allow for it, are
 too wide. With the same points in another order, or for other times, it cancels in part; between
 different points it does not. The factors below on the covariance of a difference were measured on
-virtual benches without any change; see docs/drift.md.
+virtual benches without any change; see docs/trust/drift.md.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from twin_core.identification.posterior import Posterior
-from twin_core.operating_points import OperatingPoint, alike_points
+from twin_core.operating_points import OperatingSpan, alike_points
 
 _SCALE_SAME = 0.1
 _SCALE_ALIKE = 0.7
@@ -30,22 +30,15 @@ _RUN_IN_REVOLUTIONS = 3.0e6
 
 @dataclass(frozen=True, slots=True)
 class Similarity:
-    """How alike the operation was that two posteriors come from.
+    """How alike the operation was that two posteriors come from."""
 
-    Attributes
-    ----------
-    points
-        The smaller of the shares of time, 0 to 1, that each spent at points that the other visited
-        too. Data of a bearing that was running in are like no data of one that was run in.
-    sequence
-        Share of the longer one in which both were at alike points, laid side by side from their
-        beginnings; 0 where only one began at standstill.
-    ambient_k
-        By how much their mean ambient temperatures differ; 0 where one is not known.
-    """
-
+    #: The smaller of the shares of time, 0 to 1, that each spent at points that the other visited
+    #: too. Data of a bearing that was running in are like no data of one that was run in.
     points: float
+    #: Share of the longer one in which both were at alike points, laid side by side from their
+    #: beginnings; 0 where only one began at standstill.
     sequence: float
+    #: By how much their mean ambient temperatures differ; 0 where one is not known.
     ambient_k: float = 0.0
 
     @property
@@ -113,7 +106,7 @@ def nearest(posteriors: Sequence[Posterior], posterior: Posterior) -> list[int]:
     return [k for k, one in enumerate(alike) if one.points >= most - _NEARLY]
 
 
-def _side_by_side(points: Sequence[OperatingPoint], others: Sequence[OperatingPoint]) -> float:
+def _side_by_side(points: Sequence[OperatingSpan], others: Sequence[OperatingSpan]) -> float:
     begun = points[0].start_s - others[0].start_s
     together = sum(
         max(min(p.end_s, other.end_s + begun) - max(p.start_s, other.start_s + begun), 0.0)
@@ -125,7 +118,7 @@ def _side_by_side(points: Sequence[OperatingPoint], others: Sequence[OperatingPo
     return min(together / longer, 1.0)
 
 
-def _common(points: Sequence[OperatingPoint], others: Sequence[OperatingPoint]) -> float:
+def _common(points: Sequence[OperatingSpan], others: Sequence[OperatingSpan]) -> float:
     total = sum(point.duration_s for point in points)
     met = sum(p.duration_s for p in points if any(alike_points(p, other) for other in others))
     return met / total if total else 0.0

@@ -14,11 +14,6 @@ def fastest_time_s(model: NetworkModel) -> float:
 
     That of the modes at the model's reference point, with the parameters at the prior's centre, so
     that it belongs to the network and not to what was identified.
-
-    Parameters
-    ----------
-    model
-        The model.
     """
     held = model.at_reference(0.0)
     values = held.parameters.centre

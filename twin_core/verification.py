@@ -2,8 +2,13 @@
 
 A forecast is compared with what came only as far as the machine did what it assumed. Whether it did
 is judged minute by minute from the measured speed and load.
+
+A plan is often left because the forecast was wrong: a controller stops a machine that becomes too
+hot, a sensor fails of the heat. If such forecasts were left out, half of the misses would be. What
+is interrupted is therefore compared where the plan was followed last.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -35,26 +40,19 @@ LAST_S = 1800.0
 """The last part of a span, in which the machine must have followed the plan as well."""
 UNKNOWN_SHARE = 0.10
 """Share of the minutes whose speed or load may be unknown."""
+MEASURED_SHARE = 0.90
+"""Share of a run's minutes that must be measured before it counts as inside its band."""
 _HELD_ROWS = 5
+_LOW, _HIGH, _RUN_LOW, _RUN_HIGH = range(4)
 
 
 @dataclass(frozen=True, slots=True)
 class MinuteCourse:
-    """What a machine did in each whole minute of a span, against what was assumed.
+    """What a machine did in each whole minute of a span, against what was assumed."""
 
-    Attributes
-    ----------
-    time_s
-        (n,) beginnings of the minutes.
-    left
-        (n,) whether speed or load lay elsewhere.
-    unknown
-        (n,) whether speed or load is not known.
-    """
-
-    time_s: FloatArray
-    left: NDArray[np.bool_]
-    unknown: NDArray[np.bool_]
+    time_s: FloatArray  # (n,) beginnings of the minutes
+    left: NDArray[np.bool_]  # (n,) whether speed or load lay elsewhere
+    unknown: NDArray[np.bool_]  # (n,) whether speed or load is not known
 
     def until(self, end_s: float) -> Course:
         """Say whether the machine followed the plan from time 0 to a time.
@@ -72,6 +70,139 @@ class MinuteCourse:
                 verdict = "unknown"
         return verdict
 
+    @property
+    def is_followed(self) -> NDArray[np.bool_]:
+        """(n,) minutes in which speed and load are known and as assumed."""
+        return ~(self.left | self.unknown)
+
+    def last_followed(self, end_s: float) -> int | None:
+        """Row of the last minute up to a time that ends a span over which the plan was followed."""
+        ends_s = self.time_s + MINUTE_S
+        for row in np.flatnonzero(self.is_followed & (ends_s <= end_s))[::-1]:
+            if self.until(float(ends_s[row])) == "followed":
+                return int(row)
+        return None
+
+
+@dataclass(frozen=True, slots=True)
+class InterruptedReading:
+    """A temperature when the plan was followed last, or its sensor measured last."""
+
+    after_s: float  # since the forecast was made
+    measured_c: float  # mean of that minute
+    low_c: float  # edges of the 95 % band at that time
+    high_c: float
+
+    @property
+    def is_inside(self) -> bool:
+        """Whether it was measured inside the band."""
+        return self.low_c <= self.measured_c <= self.high_c
+
+
+@dataclass(frozen=True, slots=True)
+class FollowedBand:
+    """Bands of one temperature next to its means of the minutes of a course.
+
+    - ``course``: what the machine did.
+    - ``measured_c``: (n,) means of the minutes, NaN where there is none.
+    - ``band_c``: (n, 4) edges of the 95 % band and of the band of the whole run, at the middle of
+      each minute.
+    """
+
+    course: MinuteCourse
+    measured_c: FloatArray
+    band_c: FloatArray
+
+    def left(self, end_s: float) -> InterruptedReading | None:
+        """Of a plan that was left before a time: what the last followed minute was like.
+
+        Where the sensor did not measure then, one of the five minutes before it stands for it.
+        """
+        last = self.course.last_followed(end_s)
+        if last is None:
+            return None
+        rows = np.arange(max(last - _HELD_ROWS, 0), last + 1)
+        return self._last_of(rows[self.course.is_followed[rows]])
+
+    def lost_above(self, end_s: float) -> InterruptedReading | None:
+        """Of a sensor that was lost before a time: its last reading, if that was above the band.
+
+        What was lost inside of it does not come of the forecast.
+        """
+        last = self.course.last_followed(end_s)
+        found = None
+        if last is not None:
+            found = self._last_of(np.flatnonzero(self.course.is_followed[: last + 1]))
+        return found if found is not None and found.measured_c > found.high_c else None
+
+    def run_inside(self, end_s: float) -> bool | None:
+        """Whether all minutes up to a time lie in the band of the whole run.
+
+        None where none does not, and fewer than nine in ten are measured.
+        """
+        rows = (self.course.time_s + MINUTE_S <= end_s) & ~self.course.left
+        measured_c, band_c = self.measured_c[rows], self.band_c[rows]
+        known = np.isfinite(measured_c)
+        outside = (measured_c < band_c[:, _RUN_LOW]) | (measured_c > band_c[:, _RUN_HIGH])
+        if np.any(outside & known):
+            return False
+        enough = measured_c.size > 0 and np.mean(known) >= MEASURED_SHARE
+        return True if enough else None
+
+    def _last_of(self, rows: NDArray[np.intp]) -> InterruptedReading | None:
+        known = rows[np.isfinite(self.measured_c[rows])]
+        if known.size == 0:
+            return None
+        row = known[-1]
+        return InterruptedReading(
+            float(self.course.time_s[row] + 0.5 * MINUTE_S),
+            float(self.measured_c[row]),
+            float(self.band_c[row, _LOW]),
+            float(self.band_c[row, _HIGH]),
+        )
+
+
+def band_at(times_s: ArrayLike, bands_c: ArrayLike, at_s: FloatArray) -> FloatArray:
+    """Bands (m, 4) that are kept at times (m,), linear between these, at times (n,): (n, 4)."""
+    times, bands = np.asarray(times_s, np.float64), np.asarray(bands_c, np.float64)
+    return np.stack([np.interp(at_s, times, edge) for edge in bands.T], axis=-1)
+
+
+def kept_rows(time_s: ArrayLike, curves_c: ArrayLike, within_k: ArrayLike) -> list[int]:
+    """Rows of curves (k, n) at times (n,) from which the others follow linearly, within (k,) K.
+
+    After Douglas and Peucker: the row that departs most is kept, until none departs by more.
+    """
+    time = np.asarray(time_s, np.float64)
+    curves = np.asarray(curves_c, np.float64) / np.asarray(within_k, np.float64)[:, None]
+    kept, spans = {0, time.size - 1}, [(0, time.size - 1)]
+    while spans:
+        first, last = spans.pop()
+        if last - first < 2:
+            continue
+        inner = slice(first + 1, last)
+        share = (time[inner] - time[first]) / (time[last] - time[first])
+        ends = curves[:, [first]], curves[:, [last]]
+        apart = np.max(np.abs(curves[:, inner] - ends[0] - share * (ends[1] - ends[0])), axis=0)
+        worst = int(np.argmax(apart))
+        if apart[worst] > 1.0:
+            row = first + 1 + worst
+            kept.add(row)
+            spans += [(first, row), (row, last)]
+    return sorted(kept)
+
+
+def independent_runs(begin_s: Iterable[float], lead_s: float) -> int:
+    """How many spans of one length, by their beginnings, can be chosen so that no two overlap.
+
+    Readings of forecasts that overlap share most of their minutes, and are right or wrong together.
+    """
+    count, end_s = 0, -np.inf
+    for one_s in sorted(begin_s):
+        if one_s >= end_s:
+            count, end_s = count + 1, one_s + lead_s
+    return count
+
 
 def minute_course(
     duration_s: ArrayLike,
@@ -87,14 +218,9 @@ def minute_course(
     time within two minutes before and after it. A minute without a mean takes that of one of the
     five minutes before it: speed and load then stay what they were, as for the twin.
 
-    Parameters
-    ----------
-    duration_s, speed_rpm, load_n
-        (k,) steps that were assumed, from time 0 on.
-    minute_s
-        (n,) beginnings of minutes that follow each other without a gap, on the same time axis.
-    measured_rpm, measured_n
-        (n,) means of the good values of each; NaN where there is none.
+    `duration_s`, `speed_rpm`, `load_n` (k,) steps that were assumed, from time 0 on; `minute_s`
+    (n,) beginnings of minutes that follow each other without a gap, on the same time axis;
+    `measured_rpm`, `measured_n` (n,) means of the good values of each; NaN where there is none.
     """
     begin_s = np.asarray(minute_s, np.float64)
     ends_s = np.cumsum(np.asarray(duration_s, np.float64))
@@ -130,20 +256,11 @@ def _held(values: FloatArray) -> FloatArray:
 
 
 def value_at(means: ArrayLike, minute: float) -> float | None:
-    """Value at a time, linear between the means of the minutes around it.
+    """Value at a time in minutes since the first one began, linear between the means around it.
 
-    Parameters
-    ----------
-    means
-        (n,) means of minutes that follow each other without a gap; NaN where there is none.
-    minute
-        The time, in minutes from the beginning of the first.
-
-    Returns
-    -------
-    float or None
-        None where the minute that the time lies in has no mean. Where only the other one has none,
-        the mean of this one.
+    `means` (n,) of minutes that follow each other without a gap; NaN where there is none. None
+    where the minute that the time lies in has no mean. Where only the other one has none, the mean
+    of this one.
     """
     values = np.asarray(means, np.float64)
     own = int(np.floor(minute))
@@ -158,48 +275,26 @@ def value_at(means: ArrayLike, minute: float) -> float | None:
 
 @dataclass(frozen=True, slots=True)
 class ForecastScores:
-    """How good forecasts of one kind were; K where it is not a share.
-
-    Attributes
-    ----------
-    n
-        How many there are.
-    coverage_50, coverage_95
-        Shares of the measurements inside the 50 % and the 95 % band.
-    bias_k, mae_k
-        Mean error and mean absolute error of the median; forecast minus measured.
-    crps_k
-        Continuous ranked probability score, from the quantiles.
-    interval_score_k
-        Of the 95 % band.
-    below
-        (5,) shares of the measurements at or below each quantile: those of a reliability diagram.
-    """
+    """How good forecasts of one kind were; K where it is not a share."""
 
     n: int
+    #: Shares of the measurements inside the 50 % and the 95 % band.
     coverage_50: float
     coverage_95: float
+    #: Mean error and mean absolute error of the median; forecast minus measured.
     bias_k: float
     mae_k: float
-    crps_k: float
-    interval_score_k: float
+    crps_k: float  # continuous ranked probability score, from the quantiles
+    interval_score_k: float  # of the 95 % band
+    #: (5,) shares of the measurements at or below each quantile: those of a reliability diagram.
     below: tuple[float, ...]
 
 
 def verify(quantiles_c: ArrayLike, measured_c: ArrayLike) -> ForecastScores:
     """Score forecasts against what was measured; see `twin_core.scores`.
 
-    Parameters
-    ----------
-    quantiles_c
-        (n, 5) at `twin_core.scores.QUANTILE_LEVELS`.
-    measured_c
-        (n,) measurements; those that are NaN are left out.
-
-    Raises
-    ------
-    ValueError
-        If the shapes do not belong together.
+    `quantiles_c` (n, 5) at `twin_core.scores.QUANTILE_LEVELS`; `measured_c` (n,) measurements;
+    those that are NaN are left out. Raises `ValueError` if the shapes do not belong together.
     """
     quantiles, measured = np.asarray(quantiles_c, float), np.asarray(measured_c, float)
     if quantiles.shape != (measured.size, len(QUANTILE_LEVELS)):

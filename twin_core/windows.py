@@ -15,7 +15,7 @@ from twin_core.operating_points import (
     NEW_LOAD,
     NEW_SPEED,
     STANDING_RPM,
-    OperatingPoint,
+    OperatingSpan,
     alike,
     new_points,
     split,
@@ -38,31 +38,19 @@ _AT_REST_K = 1.5
 class MinuteData:
     """Measured rows, as a rule one per minute.
 
-    Parameters
-    ----------
-    time_s
-        Shape (n,), strictly increasing.
-    speed_rpm, load_n, ambient_c
-        Shape (n,). May be NaN where not `good`.
-    temperatures_c
-        Shape (n,) for every sensor; NaN where the sensor had no good value.
-    good
-        Shape (n,): speed, load, ambient and inputs of the row can be relied upon.
-    inputs
-        Shape (n,) for every input of a network of one's own, in its order; default none.
-
-    Raises
-    ------
-    ValueError
-        If shapes differ, time does not increase or a good row has no operating point.
+    Raises `ValueError` if shapes differ, time does not increase or a good row has no operating
+    point.
     """
 
-    time_s: FloatArray
+    time_s: FloatArray  # shape (n,), strictly increasing
+    #: Shape (n,). May be NaN where not `good`.
     speed_rpm: FloatArray
     load_n: FloatArray
     ambient_c: FloatArray
+    #: Shape (n,) for every sensor; NaN where the sensor had no good value.
     temperatures_c: Mapping[str, FloatArray]
-    good: BoolArray
+    good: BoolArray  # shape (n,): speed, load, ambient and inputs of the row can be relied upon
+    #: Shape (n,) for every input of a network of one's own, in its order; default none.
     inputs: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -156,20 +144,12 @@ class LowRiskRegion:
     def contains(
         self, speed_rpm: ArrayLike, load_n: ArrayLike, tolerance: float = 0.0
     ) -> BoolArray:
-        """Tell which operating points lie inside.
+        """Return which operating points lie inside.
 
-        Parameters
-        ----------
-        speed_rpm, load_n
-            Speeds and loads of one shape; the sense of rotation does not matter.
-        tolerance
-            Relative excess that still counts as inside: `MEASURED_TOLERANCE` for what has been
-            measured, 0 for what is asked for.
-
-        Returns
-        -------
-        ndarray
-            Boolean, of that shape; False where a number is missing.
+        `speed_rpm`, `load_n`: speeds and loads of one shape; the sense of rotation does not matter;
+        `tolerance`: relative excess that still counts as inside: `MEASURED_TOLERANCE` for what has
+        been measured, 0 for what is asked for. Returns boolean, of that shape; False where a number
+        is missing.
         """
         with np.errstate(invalid="ignore"):
             return np.asarray(
@@ -180,31 +160,20 @@ class LowRiskRegion:
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """A contiguous low-risk span of good data.
+    """A contiguous low-risk span of good data."""
 
-    Attributes
-    ----------
-    start_s, end_s
-        Times of the first and the last row, both part of the window.
-    operating_points
-        In time order, without transitions; standing is not one.
-    at_rest
-        Whether the machine stood at ambient temperature at the first row.
-    score
-        How much the window can teach, 0 to 1; see `variety_score`.
-    duty
-        Where the machine ran while it was held nowhere; see `varying_duty`.
-    """
-
+    #: Times of the first and the last row, both part of the window.
     start_s: float
     end_s: float
-    operating_points: tuple[OperatingPoint, ...]
-    at_rest: bool
-    score: float
-    duty: tuple[OperatingPoint, ...] = ()
+    #: In time order, without transitions; standing is not one.
+    operating_points: tuple[OperatingSpan, ...]
+    at_rest: bool  # whether the machine stood at ambient temperature at the first row
+    score: float  # how much the window can teach, 0 to 1; see `variety_score`
+    #: Where the machine ran while it was held nowhere; see `varying_duty`.
+    duty: tuple[OperatingSpan, ...] = ()
 
     @property
-    def points(self) -> tuple[OperatingPoint, ...]:
+    def points(self) -> tuple[OperatingSpan, ...]:
         """Where the machine ran: operating points and varying duty."""
         return (*self.operating_points, *self.duty)
 
@@ -240,10 +209,10 @@ class Window:
         return cls(
             float(document["start_s"]),
             float(document["end_s"]),
-            tuple(OperatingPoint.from_dict(point) for point in document["operating_points"]),
+            tuple(OperatingSpan.from_dict(point) for point in document["operating_points"]),
             bool(document["at_rest"]),
             float(document["score"]),
-            tuple(OperatingPoint.from_dict(point) for point in document.get("duty", ())),
+            tuple(OperatingSpan.from_dict(point) for point in document.get("duty", ())),
         )
 
 
@@ -260,16 +229,9 @@ def find_windows(
     ``max_gap_rows`` rows at a time (they are not filled); a longer gap, a row outside the region
     or a longer standstill ends it.
 
-    Parameters
-    ----------
-    minutes
-        Rows at a constant spacing, some of them possibly absent or bad.
-    region
-        Low-risk speeds and loads, met with 2 % tolerance for measurement noise.
-    min_duration_s
-        Shortest time on the running machine.
-    max_gap_rows
-        Longest gap inside a window, in rows.
+    `minutes`: rows at a constant spacing, some of them possibly absent or bad; `region`: low-risk
+    speeds and loads, met with 2 % tolerance for measurement noise; `min_duration_s`: shortest time
+    on the running machine; `max_gap_rows`: longest gap inside a window, in rows.
     """
     if minutes.size < 2:
         return []
@@ -346,7 +308,7 @@ def _describe(chosen: MinuteData, spacing_s: float) -> Window:
 
 
 def is_at_rest(minutes: MinuteData) -> bool:
-    """Tell whether the machine stood at ambient temperature at the first row.
+    """Return whether the machine stood at ambient temperature at the first row.
 
     It did when the shaft did not turn and every known sensor was within 1.5 K of ambient.
     """
@@ -357,7 +319,7 @@ def is_at_rest(minutes: MinuteData) -> bool:
 
 
 def stands_at_ambient(speed_rpm: float, ambient_c: float, temperatures_c: Iterable[float]) -> bool:
-    """Tell whether a machine stands, every known sensor (not NaN) within 1.5 K of ambient."""
+    """Return whether a machine stands, every known sensor (not NaN) within 1.5 K of ambient."""
     known = [value for value in temperatures_c if np.isfinite(value)]
     cold = all(abs(value - ambient_c) <= _AT_REST_K for value in known)
     return abs(speed_rpm) < STANDING_RPM and bool(known) and cold
@@ -370,12 +332,12 @@ def variety_score(window: Window) -> float:
     feedback of the friction); length up to six hours; up to three distinct speeds; up to two
     distinct loads.
     Distinct speeds are counted at any load, distinct loads only at one and the same speed: a load
-    that changes together with the speed cannot be told from it. Where the duty varies, each counts
+    that changes together with the speed is not separable. Where the duty varies, each counts
     from 20 min in all on.
     """
     speeds = taught_values(window.operating_points, window.duty, "speed_rpm", NEW_SPEED)
 
-    def near(points: Sequence[OperatingPoint], speed: float) -> list[OperatingPoint]:
+    def near(points: Sequence[OperatingSpan], speed: float) -> list[OperatingSpan]:
         return [point for point in points if alike(point.speed_rpm, speed, NEW_SPEED)]
 
     loads = max(
@@ -402,20 +364,14 @@ def varied(
     min_duration_s: float = 1800.0,
     required: int = 1,
 ) -> bool:
-    """Tell whether enough new operating points have come to identify again.
+    """Return whether enough new operating points have come to identify again.
 
-    Parameters
-    ----------
-    old
-        The windows that the last identification used; empty before the first.
-    new
-        All windows there are now, the old ones included.
-    min_duration_s
-        Shortest total time at a new operating point that counts.
-    required
-        How many new points there must be. Before the first identification at least two whatever
-        this says: one point teaches neither a speed law nor a load law. Of a duty that varies, each
-        ``min_duration_s`` at points that are new, however short each, count as one.
+    `old`: the windows that the last identification used; empty before the first; `new`: all windows
+    there are now, the old ones included; `min_duration_s`: shortest total time at a new operating
+    point that counts. `required`: how many new points there must be. Before the first
+    identification at least two whatever this says: one point teaches neither a speed law nor a load
+    law. Of a duty that varies, each ``min_duration_s`` at points that are new, however short each,
+    count as one.
     """
     known = [point for window in old for point in window.points]
     points = [point for window in new for point in window.operating_points]
@@ -431,7 +387,7 @@ __all__ = [
     "STANDING_RPM",
     "LowRiskRegion",
     "MinuteData",
-    "OperatingPoint",
+    "OperatingSpan",
     "Window",
     "find_windows",
     "is_at_rest",

@@ -14,22 +14,22 @@ from adapters.virtual_bench.plant import BenchProfile, Condition, Truth, simulat
 from adapters.virtual_bench.reference import friction_moment_nmm
 from adapters.virtual_bench.run import run
 from adapters.virtual_bench.scenarios import (
-    Change,
+    MachineChange,
     Scenario,
     UnknownScenarioError,
     find_scenario,
     list_scenarios,
 )
-from adapters.virtual_bench.sensors import Measured, SensorParameters, measure
+from adapters.virtual_bench.sensors import MeasuredRun, SensorParameters, measure
 
 __all__ = [
     "BenchAnnouncement",
     "BenchParameters",
     "BenchProfile",
-    "Change",
     "Condition",
     "FleetAnnouncement",
-    "Measured",
+    "MachineChange",
+    "MeasuredRun",
     "PortInUseError",
     "Scenario",
     "SensorParameters",

@@ -106,37 +106,19 @@ BEARINGS = {
 
 @dataclass(frozen=True, slots=True)
 class HertzContact:
-    """Ball on groove: how the contact grows with its load.
+    """Ball on groove: how the contact grows with its load."""
 
-    Attributes
-    ----------
-    semi_major_m, semi_minor_m : float
-        Semi-axes of the contact ellipse at a load of 1 N; both grow with load^(1/3).
-    stiffness : float
-        K of Q = K delta^1.5 in N/m^1.5.
-    """
-
+    #: Semi-axes of the contact ellipse at a load of 1 N; both grow with load^(1/3).
     semi_major_m: float
     semi_minor_m: float
-    stiffness: float
+    stiffness: float  # K of Q = K delta^1.5 in N/m^1.5
 
 
 def hertz_contact(bearing: BenchBearing, *, inner: bool) -> HertzContact:
     """Elliptic point contact of one ball with one raceway (Hertz).
 
     The axis ratio is solved from the curvature difference with complete elliptic integrals.
-
-    Parameters
-    ----------
-    bearing : BenchBearing
-        The bearing.
-    inner : bool
-        The inner raceway if true, else the outer one.
-
-    Returns
-    -------
-    HertzContact
-        Contact constants at 1 N.
+    Constants are at 1 N.
     """
     gamma = bearing.ball_m / bearing.pitch_m
     rolling = 2.0 * gamma / (1.0 - gamma) if inner else -2.0 * gamma / (1.0 + gamma)

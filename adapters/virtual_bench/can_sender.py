@@ -108,13 +108,7 @@ class _SlcanAdapter(asyncio.Protocol):
 
 
 class BenchCanSender:
-    """Sends the CAN frames of a bench to everybody whose channel is open.
-
-    Parameters
-    ----------
-    bench : LiveBench
-        What is measured.
-    """
+    """Sends the CAN frames of a bench to everybody whose channel is open."""
 
     def __init__(self, bench: LiveBench) -> None:
         self._bench = bench
@@ -126,13 +120,7 @@ class BenchCanSender:
         self._counter = 0
 
     async def start(self, host: str, port: int) -> tuple[str, int]:
-        """Listen; port 0 takes a free one.
-
-        Raises
-        ------
-        PortInUseError
-            When host and port cannot be listened on.
-        """
+        """Listen; port 0 takes a free one. Raises `PortInUseError`."""
         address = check_port("can port", host, port)
         self._server = await asyncio.get_running_loop().create_server(
             lambda: _SlcanAdapter(self._clients), address, port

@@ -8,8 +8,6 @@ Wang et al., Appl. Sci. 2025, 15(12), 6671, eq. 5.
 import math
 from typing import NamedTuple
 
-from numba import njit
-
 from adapters.virtual_bench.bearings import (
     STEEL_CONDUCTIVITY,
     STEEL_DENSITY,
@@ -19,6 +17,7 @@ from adapters.virtual_bench.bearings import (
     ball_stiffness,
     hertz_contact,
 )
+from adapters.virtual_bench.compiling import compiled
 from adapters.virtual_bench.parameters import BenchParameters
 
 _ASSEMBLY_C = 20.0  # temperature at which the clearance was measured
@@ -44,15 +43,7 @@ class ContactConstants(NamedTuple):
 
 
 def contact_constants(bearing: BenchBearing, parameters: BenchParameters) -> ContactConstants:
-    """Collect the constants of the load zone of one bench.
-
-    Parameters
-    ----------
-    bearing : BenchBearing
-        Geometry.
-    parameters : BenchParameters
-        Clearance, fit and the calibrated factor on the conductance.
-    """
+    """Collect the constants of the load zone of one bench."""
     gamma = bearing.ball_m / bearing.pitch_m
     diffusivity = STEEL_CONDUCTIVITY / (STEEL_DENSITY * STEEL_HEAT_CAPACITY)
     # speed of the contact along both surfaces per rpm of the inner ring
@@ -89,7 +80,7 @@ def contact_constants(bearing: BenchBearing, parameters: BenchParameters) -> Con
     )
 
 
-@njit(cache=True)
+@compiled
 def ring_displacement(
     load_n: float, clearance_m: float, stiffness: float, ball_count: int
 ) -> float:
@@ -123,7 +114,7 @@ def ring_displacement(
     return float(delta)
 
 
-@njit(cache=True)
+@compiled
 def load_sums(
     load_n: float,
     clearance_m: float,
@@ -132,11 +123,8 @@ def load_sums(
 ) -> tuple[float, float, float, float, float]:
     """Sum Q and its roots over the ball set at the inner and the outer raceway.
 
-    Returns
-    -------
-    tuple of float
-        sum Q_i, sum Q_i^(1/2), sum Q_o^(1/2), sum Q_i^(1/3), sum Q_o^(1/3); Q_o contains the
-        centrifugal force of the ball.
+    Returns the sums of Q_i, Q_i^(1/2), Q_o^(1/2), Q_i^(1/3), Q_o^(1/3); Q_o contains the
+    centrifugal force of the ball.
     """
     delta = ring_displacement(load_n, clearance_m, constants.stiffness, constants.ball_count)
     total = 0.0
@@ -157,7 +145,7 @@ def load_sums(
     return total, inner_half, outer_half, inner_third, outer_third
 
 
-@njit(cache=True)
+@compiled
 def contact_state(
     speed_rpm: float,
     load_n: float,
@@ -168,20 +156,9 @@ def contact_state(
 ) -> tuple[float, float, float]:
     """Thermal preload and contact conductances at the present temperatures.
 
-    Parameters
-    ----------
-    speed_rpm, load_n : float
-        Operating point.
-    inner_ring_c, ball_c, outer_ring_c : float
-        Mean temperatures of rings and balls in degC; they set the operating clearance.
-    constants : ContactConstants
-        See `contact_constants`.
-
-    Returns
-    -------
-    tuple of float
-        Factor on the load that causes friction (1 at the mounted clearance), conductance of the
-        inner and of the outer raceway contacts in W/K.
+    ``inner_ring_c``, ``ball_c``, ``outer_ring_c``: mean temperatures of rings and balls in degC;
+    they set the operating clearance. Returns the factor on the load that causes friction (1 at the
+    mounted clearance), and the conductance of the inner and of the outer raceway contacts in W/K.
     """
     load = max(load_n, 1.0)
     growth = STEEL_EXPANSION * (

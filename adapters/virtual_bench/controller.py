@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from adapters.virtual_bench.parameters import BenchParameters
 from adapters.virtual_bench.plant import BenchProfile, Condition
-from adapters.virtual_bench.scenarios import Changing, Scenario, Step
+from adapters.virtual_bench.scenarios import BenchPhase, Changing, Scenario
 
 
 class RunState(IntEnum):
@@ -36,46 +36,25 @@ class PlanRow:
 
 @dataclass(frozen=True, slots=True)
 class ControllerState:
-    """What the controller shows at one moment.
+    """What the controller shows at one moment."""
 
-    Attributes
-    ----------
-    phase : int
-        1 for the first step; one more than the number of steps after the end.
-    run_state : RunState
-        Standing, running, finished or tripped.
-    speed_setpoint_rpm, load_setpoint_n : float
-        Set-points of the phase.
-    seconds_left, elapsed_s : int
-        Rest of the phase (rounded up) and time since the start in seconds.
-    plan : tuple of PlanRow
-        What is ahead; row 0 is the rest of the present step; empty after the end.
-    """
-
-    phase: int
+    phase: int  # 1 for the first step; one more than the number of steps after the end
     run_state: RunState
     speed_setpoint_rpm: float
     load_setpoint_n: float
+    #: Rest of the phase (rounded up) and time since the start in seconds.
     seconds_left: int
     elapsed_s: int
+    #: What is ahead; row 0 is the rest of the present step; empty after the end.
     plan: tuple[PlanRow, ...]
 
 
-class Controller:
+class BenchController:
     """Runs a scenario on the true machine.
 
     The drive follows the speed set-point along a ramp. The hydraulics follow theirs along a ramp
     and with play: coming from below the true load stays a little below the set-point, coming from
     above a little above (pressure hysteresis, named in Wang et al. 2025, section 5.1).
-
-    Parameters
-    ----------
-    scenario : Scenario
-        Test plan.
-    parameters : BenchParameters
-        Ambient level and swing, width of the play.
-    seed : int
-        Sets the phases of the ambient swing.
     """
 
     def __init__(self, scenario: Scenario, parameters: BenchParameters, seed: int) -> None:
@@ -83,7 +62,7 @@ class Controller:
         self._parameters = parameters
         starts = np.cumsum([0.0, *(step.duration_s for step in scenario.steps)])
         self._starts: list[float] = [float(start) for start in starts]
-        self._steps = [*scenario.steps, Step("stand still", math.inf, 0.0, 0.0, "low")]
+        self._steps = [*scenario.steps, BenchPhase("stand still", math.inf, 0.0, 0.0, "low")]
         self._tripped = False
         self._ambient_phases = np.random.default_rng([seed, 0xA1B]).uniform(0, 2 * math.pi, 3)
         self._compile()
@@ -112,18 +91,14 @@ class Controller:
         kept = sum(start < time_s for start in self._starts)
         self._tripped = True
         self._starts = [*self._starts[:kept], time_s]
-        self._steps = [*self._steps[:kept], Step("tripped", math.inf, 0.0, 0.0, "low")]
+        self._steps = [*self._steps[:kept], BenchPhase("tripped", math.inf, 0.0, 0.0, "low")]
         self._compile()
 
     def postpone_high_risk(self, begin_s: float, end_s: float) -> None:
         """Let a high-risk step that would begin within a span begin one second after it.
 
-        The step before it lasts so much longer; all that follows begins as much later.
-
-        Parameters
-        ----------
-        begin_s, end_s : float
-            The span in process seconds since the start, its begin excluded.
+        The step before it lasts so much longer; all that follows begins as much later. Both are
+        process seconds since the start, the begin excluded.
         """
         for index, step in enumerate(self._steps[:-1]):
             if step.risk == "high" and begin_s < self._starts[index] <= end_s:
@@ -136,13 +111,7 @@ class Controller:
     def true_point(
         self, time_s: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Speed in rpm and radial load in N that the bearing really sees.
-
-        Parameters
-        ----------
-        time_s : ndarray, shape (n,)
-            Process seconds since the start.
-        """
+        """Speed in rpm and load in N that the bearing really sees, at times (n,) in s."""
         phase = np.searchsorted(self._start_array, time_s, side="right") - 1
         phase = np.maximum(phase, 0)
         inside = time_s - self._start_array[phase]
@@ -181,7 +150,7 @@ class Controller:
         return np.asarray(level + self._parameters.ambient_swing_k * swing)
 
     def state(self, time_s: float) -> ControllerState:
-        """Tell what the controller shows at a process time in seconds since the start."""
+        """Give what the controller shows at a process time in seconds since the start."""
         index = max(int(np.searchsorted(self._start_array, time_s, side="right")) - 1, 0)
         step = self._steps[index]
         last = index == len(self._steps) - 1
@@ -220,23 +189,9 @@ def scenario_profile(
 ) -> BenchProfile:
     """Sample what a scenario makes the machine do, for an offline `simulate`.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        Test plan.
-    parameters : BenchParameters
-        The bench.
-    seed : int
-        As for the live bench.
-    step_s : float
-        Spacing of the rows in seconds; 1 s is what the live bench uses.
-
-    Returns
-    -------
-    BenchProfile
-        Rows from 0 to the end of the scenario; each holds the mean point of its row.
+    Each row holds the mean point of its `step_s` (the live bench: 1 s).
     """
-    controller = Controller(scenario, parameters, seed)
+    controller = BenchController(scenario, parameters, seed)
     time_s = np.arange(0.0, scenario.duration_s + 0.5 * step_s, step_s)
     speed, load = controller.true_point(time_s + 0.5 * step_s)
     return BenchProfile(

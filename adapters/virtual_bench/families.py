@@ -14,24 +14,14 @@ _LIGHT_LOAD_N = 2650.0
 
 @dataclass(frozen=True, slots=True)
 class BenchFamily:
-    """How the benches of a family differ from those of `BenchParameters.random`.
+    """How the benches of a family differ from those of `BenchParameters.random`."""
 
-    Attributes
-    ----------
-    friction_law : str
-        See `BenchParameters`.
-    rolling_load_exponent : float
-        Of the SKF law; the rolling moment at 2650 N stays what it is.
-    factors : mapping
-        Factors on random parameters, by name.
-    clearance_um : float
-        What is added to the radial clearance.
-    """
-
-    friction_law: FrictionLaw = "skf"
+    friction_law: FrictionLaw = "skf"  # see `BenchParameters`
+    #: Of the SKF law; the rolling moment at 2650 N stays what it is.
     rolling_load_exponent: float = 0.54
+    #: Factors on random parameters, by name.
     factors: Mapping[str, float] = field(default_factory=dict)
-    clearance_um: float = 0.0
+    clearance_um: float = 0.0  # what is added to the radial clearance
 
 
 FAMILIES: Mapping[str, BenchFamily] = {
@@ -63,22 +53,7 @@ FAMILIES: Mapping[str, BenchFamily] = {
 
 
 def random_bench(seed: int, bearing: str = "6311", family: str = "catalogue") -> BenchParameters:
-    """Draw a plausible bench of a family; see `BenchParameters.random`.
-
-    Parameters
-    ----------
-    seed : int
-        Same seed, same bench.
-    bearing : str
-        Mounted bearing.
-    family : str
-        Name in `FAMILIES`.
-
-    Raises
-    ------
-    ValueError
-        When there is no such family, or the bench has no such bearing.
-    """
+    """Draw a plausible bench of a family. Raises `ValueError` if it or the bearing is unknown."""
     if family not in FAMILIES:
         raise ValueError(f"family {family!r}: expected one of {', '.join(FAMILIES)}")
     of = FAMILIES[family]

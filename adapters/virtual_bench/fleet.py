@@ -43,15 +43,7 @@ _SWING_PERIOD_S = 7200.0
 
 
 class Duty:
-    """What every bench does: its own six low-risk steps, again and again.
-
-    Parameters
-    ----------
-    seed : int
-        Same seed, same steps.
-    benches : int
-        Number of benches.
-    """
+    """What every bench does: its own six low-risk steps, again and again."""
 
     def __init__(self, seed: int, benches: int) -> None:
         rng = np.random.default_rng([seed, 0xD07])
@@ -63,15 +55,7 @@ class Duty:
     def true_point(
         self, benches: NDArray[np.intp], time_s: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Speed in rpm and radial load in N, shape (benches, times).
-
-        Parameters
-        ----------
-        benches : ndarray, shape (n,)
-            Which benches.
-        time_s : ndarray, shape (m,)
-            Process seconds since the start, at which every machine is at standstill.
-        """
+        """Speed in rpm and load in N (benches, times), at times since all stood still."""
         ends = self._ends[benches]
         period = ends[:, -1:]
         inside_period = time_s[np.newaxis, :] % period
@@ -108,13 +92,6 @@ class BenchFleet:
     """Benches in motion; what they show depends on seed and process time only.
 
     Every bench is another one: other oil, fits, joints and air, see `BenchParameters.random`.
-
-    Parameters
-    ----------
-    benches : int
-        How many.
-    seed : int
-        Same seed, same benches, duties, noise and ambient.
     """
 
     def __init__(self, benches: int, seed: int) -> None:

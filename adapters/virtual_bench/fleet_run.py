@@ -29,34 +29,14 @@ async def run_fleet(
     announce: Callable[[FleetAnnouncement], None],
     stop: asyncio.Event,
 ) -> None:
-    """Run many benches until told to stop.
+    """Run many benches until stopped.
 
-    Parameters
-    ----------
-    benches : int
-        How many.
-    rate : float
-        Process seconds per wall second.
-    seed : int
-        Same seed, same run: benches, duties, noise and ambient depend on process time only.
-    host : str
-        Address to listen on.
-    modbus_port : int
-        First port; 0 takes free ones.
-    gateways : int, optional
-        The benches are spread evenly over so many ports at most; by default as few as do.
-    truth : pathlib.Path, optional
-        CSV file for the true temperatures of all benches, once a minute.
-    announce : callable
-        Called once, when all ports listen, with the addresses.
-    stop : asyncio.Event
-        Ends the run.
+    Raises `ValueError`: wrong number of benches or gateways, rate that is not positive, port in
+    use, truth file not writable.
 
-    Raises
-    ------
-    ValueError
-        Wrong number of benches or gateways, rate that is not positive, port in use, truth file
-        not writable.
+    Same `seed`, same run. `modbus_port` is the first; 0 takes free ones. The benches are spread
+    evenly over so many `gateways` at most; by default as few as do. `truth` is a CSV file for the
+    true temperatures of all benches, once a minute. `announce` is called when all ports listen.
     """
     if not 1 <= benches <= MOST_BENCHES:
         raise ValueError(f"benches {benches!r}: expected a whole number from 1 to {MOST_BENCHES}")

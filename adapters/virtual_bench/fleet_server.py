@@ -25,16 +25,7 @@ _ILLEGAL_FUNCTION, _ILLEGAL_ADDRESS, _ILLEGAL_COUNT, _NO_RESPONSE = 1, 2, 3, 0x0
 class FleetModbusServer:
     """Serves benches over Modbus TCP: number n is unit ``n % units + 1`` of port ``n // units``.
 
-    All registers of one answer belong to one moment.
-
-    Parameters
-    ----------
-    fleet : BenchFleet
-        What is served.
-    now_s : callable
-        Present process time in seconds since the start.
-    units : int
-        Benches behind one port, `UNITS` at most.
+    All registers of one answer belong to one moment: `now_s`, process time since the start.
     """
 
     def __init__(self, fleet: BenchFleet, now_s: Callable[[], float], units: int = UNITS) -> None:
@@ -46,24 +37,9 @@ class FleetModbusServer:
         self._open: set[asyncio.Transport] = set()
 
     async def start(self, host: str, port: int) -> list[tuple[str, int]]:
-        """Listen on as many ports as the benches need.
+        """Listen on as many ports as the benches need, from `port` on; 0 takes free ones.
 
-        Parameters
-        ----------
-        host : str
-            Address to listen on.
-        port : int
-            The first port, the others follow it; 0 takes free ones.
-
-        Returns
-        -------
-        list of tuple of str and int
-            Where it listens.
-
-        Raises
-        ------
-        PortInUseError
-            When a port cannot be listened on.
+        Raises `PortInUseError`.
         """
         loop = asyncio.get_running_loop()
         found = []
@@ -74,7 +50,7 @@ class FleetModbusServer:
                 server = await loop.create_server(
                     partial(_Connection, self, first), address, wanted
                 )
-            except OSError as error:  # taken in the moment since the check
+            except OSError as error:  # taken since the check
                 raise PortInUseError(f"modbus port {host}:{wanted}: cannot listen") from error
             self._servers.append(server)
             found.append((address, int(server.sockets[0].getsockname()[1])))

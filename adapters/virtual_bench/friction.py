@@ -9,9 +9,8 @@ D341). Open bearing: no seals; grease: no oil bath drag.
 import math
 from typing import NamedTuple
 
-from numba import njit
-
 from adapters.virtual_bench.bearings import BenchBearing
+from adapters.virtual_bench.compiling import compiled
 from adapters.virtual_bench.parameters import BenchParameters
 
 _GEOMETRY_K_Z = 3.1  # single row deep groove ball bearings
@@ -41,15 +40,7 @@ class FrictionConstants(NamedTuple):
 
 
 def friction_constants(bearing: BenchBearing, parameters: BenchParameters) -> FrictionConstants:
-    """Collect the constants of the frictional moment of one bench.
-
-    Parameters
-    ----------
-    bearing : BenchBearing
-        Geometry constants R1, S1 and the boundary dimensions.
-    parameters : BenchParameters
-        Oil and scale factors.
-    """
+    """Collect the constants of the frictional moment of one bench."""
     pitch_mm = bearing.pitch_m * 1e3
     bore_mm, outside_mm = bearing.bore_m * 1e3, bearing.outside_m * 1e3
     cold, hot = math.log10(313.15), math.log10(373.15)
@@ -79,14 +70,14 @@ def friction_constants(bearing: BenchBearing, parameters: BenchParameters) -> Fr
     )
 
 
-@njit(cache=True)
+@compiled
 def oil_viscosity(temperature_c: float, walther_a: float, walther_b: float) -> float:
     """Kinematic viscosity in mm2/s: log10 log10(nu + 0.7) = A - B log10 T (Walther)."""
     kelvin = min(max(temperature_c, -40.0), 250.0) + 273.15
     return float(10.0 ** (10.0 ** (walther_a - walther_b * math.log10(kelvin))) - 0.7)
 
 
-@njit(cache=True)
+@compiled
 def frictional_moment(
     speed_rpm: float,
     load_n: float,
@@ -101,18 +92,8 @@ def frictional_moment(
     as if it ran dry, and give a cold start a second, cold equilibrium. A cold greased bearing
     churns.
 
-    Parameters
-    ----------
-    speed_rpm : float
-        Speed, not negative.
-    load_n : float
-        Radial load including what thermal preload adds.
-    viscosity : float
-        Kinematic viscosity of the base oil at the contact in mm2/s.
-    constants : FrictionConstants
-        See `friction_constants`.
-    dry_share : float
-        Share of the sliding contacts that the oil no longer reaches.
+    `load_n` includes what thermal preload adds; `viscosity` is that of the base oil at the contact
+    in mm2/s; `dry_share` is the share of the sliding contacts that the oil no longer reaches.
     """
     load = max(load_n, 1.0)
     if constants.palmgren:
@@ -140,7 +121,7 @@ def frictional_moment(
     return 1e-3 * rolling, 1e-3 * sliding
 
 
-@njit(cache=True)
+@compiled
 def grease_condition(oil: float, thickening: float) -> tuple[float, float]:
     """What a grease that has lost oil does: factor on the viscosity, share of dry contacts.
 
@@ -148,12 +129,7 @@ def grease_condition(oil: float, thickening: float) -> tuple[float, float]:
     contacts nothing runs dry; that changes below two fifths of the oil (the usual figure for the
     end of a grease's life is half).
 
-    Parameters
-    ----------
-    oil : float
-        Oil left in the grease, 1 when fresh.
-    thickening : float
-        Relative rise of the viscosity when all oil is gone.
+    `oil` is what is left, 1 when fresh; `thickening` the relative rise when all is gone.
     """
     dry_share = max(_OIL_THAT_FEEDS - oil, 0.0) / _OIL_THAT_FEEDS
     return 1.0 + thickening * (1.0 - oil), dry_share

@@ -4,10 +4,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from adapters.virtual_bench.bearings import BEARINGS
+from adapters.virtual_bench.compiling import compiled
 from adapters.virtual_bench.contacts import ContactConstants, contact_constants, contact_state
 from adapters.virtual_bench.friction import (
     FrictionConstants,
@@ -25,7 +25,7 @@ from adapters.virtual_bench.network import (
     INNER_RING,
     OUTER_RACEWAY,
     OUTER_RING,
-    Network,
+    BenchNetwork,
     build_network,
 )
 from adapters.virtual_bench.parameters import BenchParameters
@@ -59,19 +59,19 @@ class PlantConstants(NamedTuple):
     thickening: float
 
 
-class Model(NamedTuple):
+class BenchModel(NamedTuple):
     """Everything the kernel needs to know about one bench."""
 
-    network: Network
+    network: BenchNetwork
     friction: FrictionConstants
     contact: ContactConstants
     plant: PlantConstants
 
 
-def build_model(parameters: BenchParameters) -> Model:
+def build_model(parameters: BenchParameters) -> BenchModel:
     """Derive the kernel's constants from the parameters of a bench."""
     bearing = BEARINGS[parameters.bearing]
-    return Model(
+    return BenchModel(
         build_network(bearing, parameters),
         friction_constants(bearing, parameters),
         contact_constants(bearing, parameters),
@@ -94,7 +94,7 @@ def build_model(parameters: BenchParameters) -> Model:
     )
 
 
-@njit(cache=True)
+@compiled
 def _join(matrix: NDArray[np.float64], a: int, b: int, conductance: float) -> None:
     matrix[a, a] += conductance
     matrix[b, b] += conductance
@@ -102,7 +102,7 @@ def _join(matrix: NDArray[np.float64], a: int, b: int, conductance: float) -> No
     matrix[b, a] -= conductance
 
 
-@njit(cache=True)
+@compiled
 def _solve(matrix: NDArray[np.float64], right: NDArray[np.float64]) -> None:
     """Solve a symmetric positive definite system in place (L D L^T, no pivoting)."""
     n = right.size
@@ -121,13 +121,13 @@ def _solve(matrix: NDArray[np.float64], right: NDArray[np.float64]) -> None:
         right[k] = total / matrix[k, k]
 
 
-@njit(cache=True)
+@compiled
 def friction_heat(
     temperature: NDArray[np.float64],
     speed_rpm: float,
     load_n: float,
     grease: NDArray[np.float64],
-    model: Model,
+    model: BenchModel,
     heat: NDArray[np.float64],
 ) -> float:
     """Add the friction heat of one operating point to `heat` (W per node); returns its sum.
@@ -161,11 +161,11 @@ def friction_heat(
     return total
 
 
-@njit(cache=True)
+@compiled
 def _add_films(
     temperature: NDArray[np.float64],
     speed_rpm: float,
-    model: Model,
+    model: BenchModel,
     matrix: NDArray[np.float64],
 ) -> None:
     """Heat transfer between grease and metal: laminar plate flow at a third of the cage speed."""
@@ -188,7 +188,7 @@ def _add_films(
     _join(matrix, CAGE, BALL_SURFACE, 0.05 + coefficient * plant.pocket_area_m2)
 
 
-@njit(cache=True)
+@compiled
 def _still_air(
     surface_c: float, ambient_c: float, length_m: float, scale: float, emissivity: float
 ) -> float:
@@ -199,13 +199,13 @@ def _still_air(
     return convection + radiation
 
 
-@njit(cache=True)
+@compiled
 def _add_air(
     temperature: NDArray[np.float64],
     speed_rpm: float,
     ambient_c: float,
     cooling: float,
-    model: Model,
+    model: BenchModel,
     matrix: NDArray[np.float64],
     right: NDArray[np.float64],
 ) -> None:
@@ -250,7 +250,7 @@ def _add_air(
         right[node] += conductance * ambient_c
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def integrate(
     temperature: NDArray[np.float64],
     grease: NDArray[np.float64],
@@ -261,7 +261,7 @@ def integrate(
     oil_loss: NDArray[np.float64],
     cooling: NDArray[np.float64],
     max_step_s: float,
-    model: Model,
+    model: BenchModel,
     out_temperature: NDArray[np.float64],
     out_grease: NDArray[np.float64],
     out_power_w: NDArray[np.float64],
@@ -270,8 +270,8 @@ def integrate(
     """Integrate rows; row k of the outputs is the state at the end of row k.
 
     `temperature` and `grease` (running-in state, oil left) begin with the present state and end
-    with the last.
-    Linearly implicit Euler: conductances and heat at the start of a step, temperatures at its end.
+    with the last. Linearly implicit Euler: conductances and heat at the start of a step,
+    temperatures at its end.
     """
     network, plant = model.network, model.plant
     n = network.capacity.size

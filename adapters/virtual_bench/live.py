@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adapters.virtual_bench.controller import Controller, ControllerState
+from adapters.virtual_bench.controller import BenchController, ControllerState
 from adapters.virtual_bench.network import INNER_BORE, NODE_NAMES, OUTER_SURFACE
 from adapters.virtual_bench.parameters import BenchParameters
 from adapters.virtual_bench.plant import Plant
@@ -43,24 +43,10 @@ class Transmitter:
 class LiveBench:
     """A bench in motion; everything it shows depends on seed, scenario and process time only.
 
-    The plant moves in whole seconds, so that the moments at which someone looks do not change
-    what he sees.
+    The plant moves in whole seconds, so that the moments at which someone looks do not change what
+    he sees. By default it is the calibrated bench for the scenario's bearing.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        Test plan.
-    seed : int
-        Sensors and ambient swing.
-    parameters : BenchParameters, optional
-        The bench; default the calibrated one for the scenario's bearing.
-    sensors : SensorParameters, optional
-        Sensor errors.
-
-    Attributes
-    ----------
-    hold : bool
-        While it is set, no high-risk step begins: the step before it goes on.
+    - ``hold``: while it is set, no high-risk step begins: the step before it goes on.
     """
 
     def __init__(
@@ -73,7 +59,7 @@ class LiveBench:
         bench = parameters or BenchParameters.for_bearing(scenario.bearing)
         errors = sensors or SensorParameters()
         self.scenario = scenario
-        self.controller = Controller(scenario, bench, seed)
+        self.controller = BenchController(scenario, bench, seed)
         start_c = float(self.controller.ambient_c(np.zeros(1))[0])
         self._plant = Plant(bench, start_c)
         self._chains = [

@@ -1,6 +1,6 @@
 """Modbus TCP side of the virtual bench: PT100 transmitters and bench controller.
 
-Register map: docs/virtual-bench.md. Addresses are those on the wire, counted from 0.
+Register map: docs/start/virtual-bench.md. Addresses are those on the wire, counted from 0.
 """
 
 import asyncio
@@ -15,6 +15,7 @@ from pymodbus.simulator import DataType, SimData, SimDevice
 
 from adapters.virtual_bench.controller import ControllerState
 from adapters.virtual_bench.live import LiveBench, Transmitter
+from adapters.virtual_bench.scenarios import BenchError
 from adapters.virtual_bench.sensors import PT100_CHANNELS
 
 TRANSMITTER_UNIT = 1
@@ -36,7 +37,7 @@ _CONTROLLER_REGISTERS = 10
 _PLAN_REGISTERS = 6 * PLAN_ROWS
 
 
-class PortInUseError(ValueError):
+class PortInUseError(BenchError):
     """A port cannot be listened on."""
 
 
@@ -77,14 +78,8 @@ class BenchModbusServer:
     Every read first brings the bench to the present moment and then takes all registers from one
     snapshot, so no read sees halves of two plans.
 
-    Parameters
-    ----------
-    bench : LiveBench
-        What is served.
-    now_s : callable
-        Present process time in seconds since the start.
-    start_scenario : callable
-        Called when a client sets the controller's start coil; a second time changes nothing.
+    - ``start_scenario``: called when a client sets the controller's start coil; a second time
+      changes nothing.
     """
 
     def __init__(
@@ -99,32 +94,14 @@ class BenchModbusServer:
         self._server: ModbusTcpServer | None = None
 
     async def start(self, host: str, port: int) -> tuple[str, int]:
-        """Listen.
-
-        Parameters
-        ----------
-        host : str
-            Address to listen on.
-        port : int
-            Port; 0 takes a free one.
-
-        Returns
-        -------
-        tuple of str and int
-            Where it listens.
-
-        Raises
-        ------
-        PortInUseError
-            When host and port cannot be listened on.
-        """
+        """Listen; port 0 takes a free one. Raises `PortInUseError`."""
         address = check_port("modbus port", host, port)
         server = ModbusTcpServer(
             [self._transmitters(), self._controller(), self._others()], address=(address, port)
         )
         try:
             await server.serve_forever(background=True)
-        except RuntimeError as error:  # taken in the moment since the check
+        except RuntimeError as error:  # taken since the check
             raise PortInUseError(f"modbus port {host}:{port}: cannot listen") from error
         self._server = server
         listener = cast(asyncio.Server, server.transport)
@@ -220,13 +197,7 @@ def _no_registers() -> list[SimData]:
 
 
 def check_port(what: str, host: str, port: int) -> str:
-    """Try whether a port can be listened on; return the numeric address of the host.
-
-    Raises
-    ------
-    PortInUseError
-        One line that names the port and the system's reason.
-    """
+    """Numeric address of the host; raises `PortInUseError` if the port cannot be listened on."""
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(
             host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE

@@ -97,31 +97,21 @@ _CLAMPED_COEFFICIENT = 3.0e3  # ring face against sleeve, sleeve on shaft
 _BOLTED_COEFFICIENT = 2.0e3  # cap on housing, housing on foot
 
 
-class Network(NamedTuple):
-    """Compiled arrays of one bench (n = 28 nodes, W/K and J/K).
+class BenchNetwork(NamedTuple):
+    """Compiled arrays of one bench (n = 28 nodes, W/K and J/K)."""
 
-    Attributes
-    ----------
-    capacity : ndarray, shape (n,)
-        Heat capacities.
-    conductance : ndarray, shape (n, n)
-        Constant conductances between nodes, symmetric, zero diagonal.
-    film_node, film_area_m2, film_still : ndarray
-        Nodes washed by the grease, their areas, and the conductance in W/K at standstill.
-    outside_node, outside_area_m2, outside_length_m : ndarray
-        Surfaces in still air and their characteristic length.
-    shaft_node, shaft_area_m2, shaft_diameter_m : ndarray
-        Surfaces of the rotating shaft in air.
-    """
-
-    capacity: NDArray[np.float64]
+    capacity: NDArray[np.float64]  # (n,) heat capacities
+    #: (n, n) constant conductances between nodes, symmetric, zero diagonal.
     conductance: NDArray[np.float64]
+    #: Nodes washed by the grease, their areas, and the conductance in W/K at standstill.
     film_node: NDArray[np.int64]
     film_area_m2: NDArray[np.float64]
     film_still: NDArray[np.float64]
+    #: Surfaces in still air and their characteristic length.
     outside_node: NDArray[np.int64]
     outside_area_m2: NDArray[np.float64]
     outside_length_m: NDArray[np.float64]
+    #: Surfaces of the rotating shaft in air.
     shaft_node: NDArray[np.int64]
     shaft_area_m2: NDArray[np.float64]
     shaft_diameter_m: NDArray[np.float64]
@@ -142,17 +132,9 @@ def _series(*conductances: float) -> float:
     return 1.0 / sum(1.0 / conductance for conductance in conductances)
 
 
-def build_network(bearing: BenchBearing, parameters: BenchParameters) -> Network:
-    """Turn geometry into capacities and conductances.
-
-    Parameters
-    ----------
-    bearing : BenchBearing
-        The mounted bearing.
-    parameters : BenchParameters
-        Scales of joints and capacities.
-    """
-    return Network(
+def build_network(bearing: BenchBearing, parameters: BenchParameters) -> BenchNetwork:
+    """Turn geometry into capacities and conductances."""
+    return BenchNetwork(
         _capacities(bearing) * parameters.capacity_scale,
         _conductances(bearing, parameters),
         *_films(bearing),
@@ -308,14 +290,8 @@ def _shaft_surfaces(
     return nodes.astype(np.int64), math.pi * diameters * (lengths - covered), diameters
 
 
-def paper_node_weights(network: Network) -> NDArray[np.float64]:
-    """Rows that average the bench nodes into the 13 nodes of the paper, by heat capacity.
-
-    Returns
-    -------
-    ndarray, shape (13, 28)
-        Weights; every row sums to one.
-    """
+def paper_node_weights(network: BenchNetwork) -> NDArray[np.float64]:
+    """Rows (13, 28) that average nodes into the paper's by heat capacity; each sums to 1."""
     weights = np.zeros((len(PAPER_NODES), NODE_COUNT))
     for number, parts in PAPER_NODES.items():
         for node, part in parts.items():

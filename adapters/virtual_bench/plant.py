@@ -26,12 +26,8 @@ MAX_STEP_S = 1.0
 class Condition:
     """What changes about a machine while it runs, row by row.
 
-    Attributes
-    ----------
-    oil_loss : ndarray, shape (n,)
-        How fast the grease loses its oil, in multiples of the rate that its life is stated for.
-    cooling : ndarray, shape (n,)
-        Factor on the heat that housing and base plate give to the air.
+    ``oil_loss``: (n,) how fast the grease loses its oil, in multiples of the rate that its life is
+    stated for; ``cooling``: (n,) factor on the heat that housing and base plate give to the air.
     """
 
     oil_loss: NDArray[np.float64]
@@ -45,50 +41,27 @@ class Condition:
 
 @dataclass(frozen=True, slots=True)
 class BenchProfile:
-    """True operating point of the bench; row k holds from time_s[k] to time_s[k + 1].
+    """True operating point of the bench; row k holds from time_s[k] to time_s[k + 1]."""
 
-    Attributes
-    ----------
-    time_s : ndarray, shape (n,)
-        Ascending times in seconds.
-    speed_rpm, load_n, ambient_c : ndarray, shape (n,)
-        What the shaft, the hydraulics and the air really do; the last row holds at no time.
-    condition : Condition
-        How the machine itself changes meanwhile; default not at all.
-    """
-
-    time_s: NDArray[np.float64]
+    time_s: NDArray[np.float64]  # (n,) ascending times in seconds
+    #: (n,) what the shaft, the hydraulics and the air really do; the last row holds at no time.
     speed_rpm: NDArray[np.float64]
     load_n: NDArray[np.float64]
     ambient_c: NDArray[np.float64]
+    #: How the machine itself changes meanwhile; default not at all.
     condition: Condition | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """True temperatures of a run, at the times of its profile.
+    """True temperatures of a run, at the times of its profile."""
 
-    Attributes
-    ----------
-    time_s : ndarray, shape (n,)
-        Times in seconds.
-    temperatures_c : ndarray, shape (n, 28)
-        All nodes in the order of `NODE_NAMES`, degC.
-    paper_nodes_c : ndarray, shape (n, 13)
-        The same averaged into the 13 nodes of the paper.
-    power_w : ndarray, shape (n,)
-        Friction power just before each time; 0 at the first.
-    preload : ndarray, shape (n,)
-        Factor of thermal preload on the friction load.
-    run_in, oil : ndarray, shape (n,)
-        Running-in state of the grease and the oil left in it; 1 is fresh.
-    """
-
-    time_s: NDArray[np.float64]
-    temperatures_c: NDArray[np.float64]
-    paper_nodes_c: NDArray[np.float64]
-    power_w: NDArray[np.float64]
-    preload: NDArray[np.float64]
+    time_s: NDArray[np.float64]  # (n,) times in seconds
+    temperatures_c: NDArray[np.float64]  # (n, 28) all nodes in the order of `NODE_NAMES`, degC
+    paper_nodes_c: NDArray[np.float64]  # (n, 13) the same averaged into the 13 nodes of the paper
+    power_w: NDArray[np.float64]  # (n,) friction power just before each time; 0 at the first
+    preload: NDArray[np.float64]  # (n,) factor of thermal preload on the friction load
+    #: (n,) running-in state of the grease and the oil left in it; 1 is fresh.
     run_in: NDArray[np.float64]
     oil: NDArray[np.float64]
 
@@ -104,34 +77,17 @@ class Truth:
 
 
 class PlantRows(NamedTuple):
-    """States of the plant, one per row.
+    """States of the plant, one per row."""
 
-    Attributes
-    ----------
-    temperatures_c : ndarray, shape (n, 28)
-        All nodes in degC.
-    grease : ndarray, shape (n, 2)
-        Running-in state and oil left.
-    power_w, preload : ndarray, shape (n,)
-        Friction power and factor of thermal preload.
-    """
-
-    temperatures_c: NDArray[np.float64]
-    grease: NDArray[np.float64]
+    temperatures_c: NDArray[np.float64]  # (n, 28) all nodes in degC
+    grease: NDArray[np.float64]  # (n, 2) running-in state and oil left
+    #: (n,) friction power and factor of thermal preload.
     power_w: NDArray[np.float64]
     preload: NDArray[np.float64]
 
 
 class Plant:
-    """A bench whose physics are advanced piece by piece.
-
-    Parameters
-    ----------
-    parameters : BenchParameters
-        The bench.
-    start_c : float
-        Temperature of everything at the start in degC.
-    """
+    """A bench whose physics are advanced piece by piece."""
 
     def __init__(self, parameters: BenchParameters, start_c: float) -> None:
         self.model = build_model(parameters)
@@ -149,22 +105,7 @@ class Plant:
         *,
         max_step_s: float = MAX_STEP_S,
     ) -> PlantRows:
-        """Hold each operating point for its duration.
-
-        Parameters
-        ----------
-        duration_s, speed_rpm, load_n, ambient_c : ndarray, shape (n,)
-            Rows to run through.
-        condition : Condition
-            The same rows.
-        max_step_s : float
-            Longest integration step in seconds.
-
-        Returns
-        -------
-        PlantRows
-            State at the end of every row.
-        """
+        """Hold each operating point (n,) for its duration; returns the state at the end of each."""
         rows = duration_s.size
         out = PlantRows(
             np.empty((rows, NODE_COUNT)), np.empty((rows, 2)), np.empty(rows), np.empty(rows)
@@ -192,23 +133,9 @@ def simulate(
     start_c: float | None = None,
     max_step_s: float = MAX_STEP_S,
 ) -> Truth:
-    """Run a profile on a bench, offline.
+    """Run a profile on a bench, offline; a row of the result per row, the first the initial state.
 
-    Parameters
-    ----------
-    profile : BenchProfile
-        True speed, load and ambient.
-    parameters : BenchParameters
-        The bench.
-    start_c : float, optional
-        Temperature of everything at the start; default the first ambient temperature.
-    max_step_s : float
-        Longest integration step in seconds.
-
-    Returns
-    -------
-    Truth
-        One row per row of the profile; the first is the initial state.
+    Everything has the first ambient temperature at the start unless ``start_c`` is given.
     """
     start = float(profile.ambient_c[0]) if start_c is None else start_c
     plant = Plant(parameters, start)

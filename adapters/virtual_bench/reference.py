@@ -1,4 +1,4 @@
-"""What a bench truly is at a reference point, for scoring whoever infers it from outside."""
+"""What a bench truly is at a reference point, for scoring what is inferred from outside."""
 
 from adapters.virtual_bench.bearings import BEARINGS
 from adapters.virtual_bench.friction import (
@@ -21,14 +21,7 @@ def friction_moment_nmm(
 ) -> float:
     """True frictional moment of a bench in N.mm, without what thermal preload adds.
 
-    Parameters
-    ----------
-    parameters : BenchParameters
-        The bench.
-    speed_rpm, load_n, oil_temperature_c : float
-        Operating point and temperature of the oil at both contacts.
-    run_in, oil : float
-        State of the grease, as in `Truth`; default run in and fresh.
+    `oil_temperature_c` is that at both contacts; `run_in`, `oil` as in `Truth`, run in and fresh.
     """
     constants = friction_constants(BEARINGS[parameters.bearing], parameters)
     thicker, dry_share = grease_condition(oil, parameters.thickening)

@@ -33,37 +33,14 @@ async def run(
     announce: Callable[[BenchAnnouncement], None],
     stop: asyncio.Event,
 ) -> None:
-    """Run a scenario until told to stop.
+    """Run a scenario until stopped.
 
-    After its last step the bench stands still and goes on answering.
+    After its last step the bench stands still and goes on answering. Raises `ValueError`: unknown
+    scenario, rate that is not positive, port in use, truth file not writable.
 
-    Parameters
-    ----------
-    scenario : str or Scenario
-        What is run.
-    rate : float
-        Process seconds per wall second.
-    seed : int
-        Same seed, same run: noise and ambient depend on process time only.
-    specimen : int, optional
-        Seed of another specimen; see `adapters.virtual_bench.families.random_bench`.
-    host : str
-        Address to listen on.
-    modbus_port, can_port : int
-        Ports; 0 takes a free one.
-    truth : pathlib.Path, optional
-        CSV file for the true temperatures of all nodes.
-    wait_for_start : bool
-        Stand still until a client sets the controller's start coil.
-    announce : callable
-        Called once, when both ports listen, with the addresses.
-    stop : asyncio.Event
-        Ends the run.
-
-    Raises
-    ------
-    ValueError
-        Unknown scenario, rate that is not positive, port in use, truth file not writable.
+    Same `seed`, same run: noise and ambient depend on process time only. `truth` is a CSV file for
+    the true temperatures of all nodes. With `wait_for_start` it stands still until a client sets
+    the controller's start coil. `announce` is called once, when both ports listen.
     """
     if not (math.isfinite(rate) and rate > 0.0):
         raise ValueError(f"rate {rate!r}: expected a positive number")

@@ -16,12 +16,16 @@ _MINUTE = 60.0
 _HOUR = 3600.0
 
 
-class UnknownScenarioError(ValueError):
+class BenchError(ValueError):
+    """The root of all errors of the virtual bench."""
+
+
+class UnknownScenarioError(BenchError):
     """No scenario of that name."""
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class BenchPhase:
     """One phase: set-points held for a time, the ramp towards them included.
 
     `risk` is the test plan's own label: low-risk is what may be run without watching.
@@ -36,7 +40,7 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class SensorFault:
-    """A broken sensor, from a time after the start for a while; it recovers by itself.
+    """A broken sensor, from a time after the start for a while; it recovers on its own.
 
     Temperature channels know ``wire break``, ``short circuit`` and ``over-range``; the two CAN
     channels (`speed_rpm`, `load_n`) know ``not available``.
@@ -49,27 +53,17 @@ class SensorFault:
 
 
 @dataclass(frozen=True, slots=True)
-class Change:
-    """Something about the machine that changes while it runs, unknown to its controller.
+class MachineChange:
+    """Something about the machine that changes while it runs, unknown to its controller."""
 
-    Attributes
-    ----------
-    quantity : str
-        ``oil loss`` of the grease, ``cooling`` of housing and base plate by the air, ``load`` that
-        the hydraulics really bring, next to what the set-point says.
-    start_s, ramp_s : float
-        When it begins, and over how long it grows (evenly in the logarithm).
-    factor : float
-        By what the quantity is multiplied in the end.
-    end_s : float
-        When it begins to go back, as fast as it came; default never.
-    """
-
+    #: ``oil loss`` of the grease, ``cooling`` of housing and base plate by the air, ``load`` that
+    #: the hydraulics really bring, next to what the set-point says.
     quantity: Changing
+    #: When it begins, and over how long it grows (evenly in the logarithm).
     start_s: float
     ramp_s: float
-    factor: float
-    end_s: float = math.inf
+    factor: float  # by what the quantity is multiplied in the end
+    end_s: float = math.inf  # when it begins to go back, as fast as it came; default never
 
     def at(self, time_s: NDArray[np.float64]) -> NDArray[np.float64]:
         """Factor at process times in seconds; same shape."""
@@ -80,37 +74,22 @@ class Change:
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """A test plan.
-
-    Attributes
-    ----------
-    name, description : str
-        For people.
-    bearing : str
-        What is mounted.
-    steps : tuple of Step
-        One after the other; afterwards the bench stands still, unloaded.
-    faults : tuple of SensorFault
-        Sensor faults on the way.
-    speed_ramp_rpm_per_s, load_ramp_n_per_s : float
-        How fast drive and hydraulics follow a new set-point.
-    changes : tuple of Change
-        What becomes of the machine itself.
-    oil_loss : float
-        How fast the grease ages, in multiples of the rate that its life is stated for.
-    ambient_daily_k : float
-        Amplitude of the ambient's daily course in K, next to its faster swings.
-    """
+    """A test plan."""
 
     name: str
     description: str
     bearing: str
-    steps: tuple[Step, ...]
+    steps: tuple[
+        BenchPhase, ...
+    ]  # one after the other; afterwards the bench stands still, unloaded
     faults: tuple[SensorFault, ...] = ()
+    #: How fast drive and hydraulics follow a new set-point.
     speed_ramp_rpm_per_s: float = 100.0
     load_ramp_n_per_s: float = 200.0
-    changes: tuple[Change, ...] = ()
+    changes: tuple[MachineChange, ...] = ()  # what becomes of the machine itself
+    #: How fast the grease ages, in multiples of the rate that its life is stated for.
     oil_loss: float = 0.0
+    #: Amplitude of the ambient's daily course in K, next to its faster swings.
     ambient_daily_k: float = 0.0
 
     @property
@@ -119,21 +98,23 @@ class Scenario:
         return sum(step.duration_s for step in self.steps)
 
 
-def _rest(load_n: float = 2650.0) -> Step:
-    return Step("at rest", 3 * _MINUTE, 0.0, load_n, "low")
+def _rest(load_n: float = 2650.0) -> BenchPhase:
+    return BenchPhase("at rest", 3 * _MINUTE, 0.0, load_n, "low")
 
 
-def _point(speed_rpm: float, load_n: float, minutes: float, risk: Risk) -> Step:
-    return Step(f"{speed_rpm:.0f} rpm {load_n:.0f} N", minutes * _MINUTE, speed_rpm, load_n, risk)
+def _point(speed_rpm: float, load_n: float, minutes: float, risk: Risk) -> BenchPhase:
+    return BenchPhase(
+        f"{speed_rpm:.0f} rpm {load_n:.0f} N", minutes * _MINUTE, speed_rpm, load_n, risk
+    )
 
 
-def _staircase(speeds: Sequence[float], minutes: float) -> tuple[Step, ...]:
+def _staircase(speeds: Sequence[float], minutes: float) -> tuple[BenchPhase, ...]:
     return tuple(
         _point(speed, 2650.0, minutes, "low" if speed <= 4300.0 else "high") for speed in speeds
     )
 
 
-def _days(count: int) -> tuple[Step, ...]:
+def _days(count: int) -> tuple[BenchPhase, ...]:
     """Days of low and medium points, every day the same, with two hours of standstill."""
     day = (
         _point(2400.0, 2650.0, 300.0, "low"),
@@ -141,7 +122,7 @@ def _days(count: int) -> tuple[Step, ...]:
         _point(4200.0, 2650.0, 300.0, "low"),
         _point(4200.0, 3300.0, 180.0, "low"),
         _point(3000.0, 2000.0, 240.0, "low"),
-        Step("stop", 2 * _HOUR, 0.0, 2000.0, "low"),
+        BenchPhase("stop", 2 * _HOUR, 0.0, 2000.0, "low"),
     )
     return (_rest(), *(day * count))
 
@@ -174,9 +155,9 @@ _SCENARIOS = (
         steps=(
             _rest(),
             _point(5600.0, 2650.0, 60.0, "high"),
-            Step("stop", 20 * _MINUTE, 0.0, 2650.0, "low"),
+            BenchPhase("stop", 20 * _MINUTE, 0.0, 2650.0, "low"),
             _point(5600.0, 2650.0, 30.0, "high"),
-            Step("stop", 10 * _MINUTE, 0.0, 2650.0, "low"),
+            BenchPhase("stop", 10 * _MINUTE, 0.0, 2650.0, "low"),
             _point(6200.0, 2650.0, 45.0, "high"),
         ),
         speed_ramp_rpm_per_s=300.0,
@@ -208,7 +189,7 @@ _SCENARIOS = (
         description="days as in durability; from 54 h the grease bleeds and friction grows",
         bearing="6311",
         steps=_days(6),
-        changes=(Change("oil loss", _ONSET_S, 2 * _HOUR, 12.0),),
+        changes=(MachineChange("oil loss", _ONSET_S, 2 * _HOUR, 12.0),),
         oil_loss=_AGEING,
         ambient_daily_k=1.5,
     ),
@@ -217,7 +198,7 @@ _SCENARIOS = (
         description="days as in durability; at 54 h the housing is covered, heat cannot leave",
         bearing="6311",
         steps=_days(4),
-        changes=(Change("cooling", _ONSET_S, 2 * _HOUR, 0.5),),
+        changes=(MachineChange("cooling", _ONSET_S, 2 * _HOUR, 0.5),),
         oil_loss=_AGEING,
         ambient_daily_k=1.5,
     ),
@@ -226,7 +207,7 @@ _SCENARIOS = (
         description="a healthy run; at 150 min the load doubles beyond its set-point for an hour",
         bearing="6311",
         steps=(_rest(), _point(2400.0, 2650.0, 60.0, "low"), _point(4200.0, 2650.0, 210.0, "low")),
-        changes=(Change("load", 150 * _MINUTE, 2 * _MINUTE, 2.0, end_s=210 * _MINUTE),),
+        changes=(MachineChange("load", 150 * _MINUTE, 2 * _MINUTE, 2.0, end_s=210 * _MINUTE),),
     ),
     Scenario(
         name="demo",
@@ -242,7 +223,7 @@ _SCENARIOS = (
             _point(4200.0, 2650.0, 25.0, "low"),
             _point(6200.0, 2650.0, 75.0, "high"),
             _point(6200.0, 5500.0, 75.0, "high"),
-            Step("cool-down", 30 * _MINUTE, 1500.0, 2650.0, "low"),
+            BenchPhase("cool-down", 30 * _MINUTE, 1500.0, 2650.0, "low"),
         ),
     ),
 )
@@ -254,13 +235,7 @@ def list_scenarios() -> tuple[Scenario, ...]:
 
 
 def find_scenario(name: str) -> Scenario:
-    """Return the scenario of a name.
-
-    Raises
-    ------
-    UnknownScenarioError
-        When there is none; the message lists those that there are.
-    """
+    """Return the scenario of a name. Raises `UnknownScenarioError`."""
     for scenario in _SCENARIOS:
         if scenario.name == name:
             return scenario

@@ -7,9 +7,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from adapters.virtual_bench.compiling import compiled
 from adapters.virtual_bench.plant import BenchProfile, Truth
 
 PT100_CHANNELS = ("t_inner_ring_c", "t_outer_ring_c", "ambient_c")
@@ -19,44 +19,22 @@ _BLOCK = 1024
 
 @dataclass(frozen=True, slots=True)
 class SensorParameters:
-    """Errors of the measuring chains.
+    """Errors of the measuring chains."""
 
-    Attributes
-    ----------
-    lag_s : float
-        Time constant of a PT100 in its bore, seconds.
-    offset_sd_k : float
-        Spread of the constant offset of a chain.
-    white_sd_k : float
-        White noise of one conversion (one per second).
-    drift_sd_k, drift_time_s : float
-        Spread and correlation time of a slow AR(1) drift.
-    resolution_k : float
-        Step of the transmitter's output.
-    speed_sd_rpm, load_sd_n : float
-        White noise of encoder and load cell, per reading (every 0.05 s).
-    """
-
-    lag_s: float = 20.0
-    offset_sd_k: float = 0.1
-    white_sd_k: float = 0.05
+    lag_s: float = 20.0  # time constant of a PT100 in its bore, seconds
+    offset_sd_k: float = 0.1  # spread of the constant offset of a chain
+    white_sd_k: float = 0.05  # white noise of one conversion (one per second)
+    #: Spread and correlation time of a slow AR(1) drift.
     drift_sd_k: float = 0.05
     drift_time_s: float = 1800.0
-    resolution_k: float = 0.1
+    resolution_k: float = 0.1  # step of the transmitter's output
+    #: White noise of encoder and load cell, per reading (every 0.05 s).
     speed_sd_rpm: float = 1.0
     load_sd_n: float = 6.0
 
 
 class Noise:
-    """Standard normal noise by tick number; the same for a seed and a stream whoever asks.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of the run.
-    stream : int
-        Number of the noise source.
-    """
+    """Standard normal noise by tick number; the same for a seed and a stream."""
 
     def __init__(self, seed: int, stream: int) -> None:
         self._key = (seed, stream)
@@ -82,7 +60,7 @@ class Noise:
         return out
 
 
-@njit(cache=True)
+@compiled
 def _chain(
     true_c: NDArray[np.float64],
     shocks: NDArray[np.float64],
@@ -100,21 +78,7 @@ def _chain(
 
 
 class Pt100:
-    """One temperature chain: lag, offset, drift, white noise, resolution.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of the run.
-    channel : int
-        Position in `PT100_CHANNELS`.
-    start_c : float
-        Temperature of the sensor at the start.
-    parameters : SensorParameters
-        Errors.
-    step_s : float
-        Time between conversions in seconds.
-    """
+    """One temperature chain of `PT100_CHANNELS`: lag, offset, drift, white noise, resolution."""
 
     def __init__(
         self,
@@ -156,17 +120,7 @@ class Pt100:
 
 
 class LineSensor:
-    """Encoder or load cell on the CAN bus: white noise, no negative values.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of the run.
-    stream : int
-        Number of its noise source.
-    sd : float
-        Noise of one reading, in the unit of the value.
-    """
+    """Encoder or load cell on the CAN bus: white noise `sd`, no negative values."""
 
     def __init__(self, seed: int, stream: int, sd: float) -> None:
         self._noise = Noise(seed, stream)
@@ -180,7 +134,7 @@ class LineSensor:
 
 
 @dataclass(frozen=True, slots=True)
-class Measured:
+class MeasuredRun:
     """What the sensors would have shown on a run, at the times of its profile, shape (n,) each."""
 
     time_s: NDArray[np.float64]
@@ -196,18 +150,8 @@ def measure(
     truth: Truth,
     seed: int,
     parameters: SensorParameters | None = None,
-) -> Measured:
-    """Put the measuring chains behind an offline simulation.
-
-    Parameters
-    ----------
-    profile, truth : BenchProfile, Truth
-        A run with evenly spaced rows; one conversion per row.
-    seed : int
-        Seed of the sensors.
-    parameters : SensorParameters, optional
-        Errors; default those of the live bench.
-    """
+) -> MeasuredRun:
+    """Put the measuring chains behind an offline simulation: one conversion per row."""
     sensors = parameters or SensorParameters()
     steps = np.diff(profile.time_s)
     if steps.size and not np.allclose(steps, steps[0]):
@@ -221,7 +165,7 @@ def measure(
     count = profile.time_s.size
     speed = profile.speed_rpm + sensors.speed_sd_rpm * Noise(seed, 1).values(0, count)
     load = profile.load_n + sensors.load_sd_n * Noise(seed, 2).values(0, count)
-    return Measured(
+    return MeasuredRun(
         time_s=profile.time_s,
         speed_rpm=np.where(profile.speed_rpm > 0.0, np.maximum(speed, 0.0), 0.0),
         load_n=np.maximum(load, 0.0),

@@ -7,20 +7,7 @@ from typing import TextIO
 
 
 class TruthFile:
-    """CSV of the true temperatures, flushed as it is written.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        The file.
-    columns : sequence of str
-        Names of the columns; the first is the process time in seconds.
-
-    Raises
-    ------
-    ValueError
-        If the file cannot be written.
-    """
+    """CSV of true temperatures by process time in s, flushed as written; raises `ValueError`."""
 
     def __init__(self, path: Path, columns: Sequence[str]) -> None:
         try:

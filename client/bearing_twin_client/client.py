@@ -46,18 +46,10 @@ class Client:
     """A connection to one service. Use it in a ``with`` block, or close it.
 
     Each call raises ``ProblemError`` where the service refuses, and ``httpx2.TransportError`` where
-    it cannot be reached. Times must have an offset (``datetime.now(UTC)``).
-
-    Parameters
-    ----------
-    url
-        Of the service's page: ``http://127.0.0.1:8080``.
-    key
-        API key. A viewer's reads, an operator's forecasts too; identifications, models and advice
-        need an engineer's.
-    timeout_s
-        Longest wait for an answer, in seconds. A question that the service is too busy for (503) is
-        asked again within it.
+    it cannot be reached. Times must have an offset (``datetime.now(UTC)``). `url` is that of the
+    service's page: ``http://127.0.0.1:8080``. The `key` of a viewer reads, of an operator forecasts
+    too; identifications, models and advice need an engineer's. Within `timeout_s` a question that
+    the service is too busy for (503) is asked again.
     """
 
     def __init__(self, url: str, key: str, timeout_s: float = 60.0) -> None:
@@ -114,16 +106,9 @@ class Client:
     ) -> Iterator[Row]:
         """History with quality, ascending by time, then by channel; page after page.
 
-        Parameters
-        ----------
-        asset
-            Its id.
-        channels
-            Names, 50 at most; None: all.
-        start, end
-            Process times, ``end`` excluded; None: one hour before the end, and now.
-        resolution
-            Raw samples, or buckets with the mean, minimum and maximum of the good ones.
+        `channels`: 50 at most; None: all. `start`, `end`: process times, ``end`` excluded; None:
+        one hour before the end, and now. `resolution`: raw samples, or buckets with the mean,
+        minimum and maximum of the good ones.
         """
         query = {
             "channel": None if channels is None else list(channels),
@@ -148,20 +133,10 @@ class Client:
         nodes: Sequence[str] | None = None,
         keep: bool = False,
     ) -> WhatIfAnswer:
-        """Forecast a profile from the present state of the twin.
+        """Forecast a profile, 48 h at most in all, from the present state of the twin.
 
-        Parameters
-        ----------
-        asset
-            Its id.
-        profile
-            Steps in their order, 48 h at most together.
-        step_s
-            Spacing of the answer in seconds; None: as the service likes.
-        nodes
-            Sensors and nodes to be answered; None: all.
-        keep
-            Keep it, and score it if the machine does this from now on.
+        `step_s` is the spacing of the answer; `nodes`: None for all. With `keep` it is kept, and
+        scored if the machine does this from now on.
         """
         request = ForecastRequest(
             profile=list(profile),
@@ -176,10 +151,23 @@ class Client:
         return self._get(EnvelopeDocument, _path(asset, "envelope"))
 
     def advice(
-        self, asset: str, speed_rpm: float, load_n: float, duration_s: float = 7200.0
+        self,
+        asset: str,
+        speed_rpm: float,
+        load_n: float,
+        duration_s: float = 7200.0,
+        half_width_k: float | None = None,
     ) -> AdviceDocument:
-        """Which low-risk step to run next to know more about a point (rpm, N) held so long (s)."""
-        query = {"speed_rpm": speed_rpm, "load_n": load_n, "duration_s": duration_s}
+        """Which low-risk step to run next to know more about a point (rpm, N) held so long (s).
+
+        None is proposed once its forecast is known to ± `half_width_k`.
+        """
+        query = {
+            "speed_rpm": speed_rpm,
+            "load_n": load_n,
+            "duration_s": duration_s,
+            "half_width_k": half_width_k,
+        }
         return self._get(AdviceDocument, _path(asset, "advice"), **query)
 
     # -- identification and models
@@ -198,16 +186,9 @@ class Client:
     ) -> JobDocument:
         """Start an identification; ``wait`` for the job that this gives.
 
-        Parameters
-        ----------
-        asset
-            Its id. With a job under way already: ``ProblemError`` 409, ``problem.job`` shows it.
-        windows
-            Spans of time to identify from; None: those of ``windows()``.
-        method, seed
-            Of the search.
-        budget
-            Most evaluations; None: the method's own.
+        `windows`: spans of time to identify from; None: those of ``windows()``. `budget`: most
+        evaluations; None: the method's own. With a job under way already ``ProblemError`` 409,
+        ``problem.job`` shows it.
         """
         request = IdentificationRequest(
             windows="auto" if windows is None else list(windows),
@@ -224,15 +205,10 @@ class Client:
     def wait(
         self, asset: str, job_id: str, timeout_s: float = 3600.0, every_s: float = 1.0
     ) -> JobDocument:
-        """Wait until an identification has ended.
+        """Wait until an identification has ``succeeded``, ``failed`` or is ``cancelled``.
 
-        Its ``status`` is then ``succeeded`` (``model_version`` came of it), ``failed`` or
-        ``cancelled`` (``error`` says why).
-
-        Raises
-        ------
-        TimeoutError
-            It has not ended within ``timeout_s`` seconds. It goes on.
+        Of it came ``model_version``, or ``error`` says why not. Raises ``TimeoutError`` if it has
+        not ended in time; it goes on.
         """
         deadline = time.monotonic() + timeout_s
         while (job := self.job(asset, job_id)).status not in ENDED:

@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
-from typing import Dict, Literal
+from typing import Annotated, Dict, Literal
 
-from pydantic import AwareDatetime, BaseModel, ConfigDict
+from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
 
 
 class ActiveModel(BaseModel):
@@ -27,6 +27,21 @@ class ActiveModel(BaseModel):
     False for the priors.
     """
     identified_at: AwareDatetime | None
+
+
+class AlarmCause(BaseModel):
+    """
+    What an alarm comes of; one cause has one alarm, whatever number of assets it has.
+    """
+
+    kind: Literal["source", "machine", "step", "service"]
+    """
+    A `source` that assets are read from, the `service` itself, a `machine`, or a `step` that lies ahead of it.
+    """
+    id: str
+    """
+    Name of the source, part of the service, or id of the asset.
+    """
 
 
 class AlarmSummary(BaseModel):
@@ -310,7 +325,7 @@ class IdentificationSettings(BaseModel):
 
     ladder: Literal["observe", "suggest", "apply"]
     """
-    `suggest` identifies by itself, `apply` also activates what passes the gates.
+    `suggest` identifies automatically; `apply` activates what passes the gates.
     """
 
 
@@ -337,6 +352,33 @@ class JobWindow(BaseModel):
 
     start: AwareDatetime
     end: AwareDatetime
+
+
+class LawDocument(BaseModel):
+    """
+    Where one law of a version comes from, and what speaks for it.
+    """
+
+    source: Literal["own", "family", "literature"]
+    """
+    Own: the machine's data decide it; else the more probable prior.
+    """
+    weight_family: float
+    """
+    Probability that the family's law is this machine's.
+    """
+    log_bayes_factor: float | None
+    """
+    Natural logarithm of how much more probable the family's law makes the machine's own data than the literature's; null where no family was asked.
+    """
+    tested: bool
+    """
+    Whether the machine's own data say anything about the law.
+    """
+    settled_by: str | None
+    """
+    What would test it; null where it is tested.
+    """
 
 
 class Limit(BaseModel):
@@ -417,6 +459,26 @@ class ModelWindow(BaseModel):
     load_n_max: float | None = None
     """
     Highest radial load, N.
+    """
+
+
+class NextStep(BaseModel):
+    """
+    What to do next for a forecast that is narrow enough, in words and as a step of the list.
+    """
+
+    text: str
+    asked_half_width_k: float | None = None
+    """
+    What was asked, K; null where nothing was.
+    """
+    reached: bool
+    """
+    Whether the forecast is as narrow as was asked, so that no step is needed.
+    """
+    rank: int | None = None
+    """
+    Of the step in `steps`: the best of at most 20 min, a longer one where none of these is worth while; null where none is needed or none is worth while.
     """
 
 
@@ -746,7 +808,7 @@ class SistersDocument(BaseModel):
     """
     accepted: bool
     """
-    Whether the version rests on them; if not, on its own data alone.
+    Whether any law of the version rests on them; if not, on its own data alone.
     """
     reason: str
     """
@@ -756,9 +818,9 @@ class SistersDocument(BaseModel):
     """
     Natural logarithm of how much more probable they make the machine's own data.
     """
-    membership: float | None
+    membership: Annotated[float | None, Field(deprecated=True)] = None
     """
-    Share of the family's members whose own data would be further off, 0 to 1.
+    Deprecated: of versions before each law was trusted separately, the share of the family's members whose own data would be further off; null since, see `laws`.
     """
     set_aside: dict[str, str]
     """
@@ -961,6 +1023,35 @@ class VerdictOf(BaseModel):
     """
 
 
+class VerdictOfPresentStep(BaseModel):
+    """
+    The verdict on the step in hand, and when that step ends.
+    """
+
+    word: Literal["safe", "not safe", "recovering", "unknown"]
+    reasons: list[str]
+    limit: Limit | None
+    """
+    The limit that decides.
+    """
+    probability: float | None
+    """
+    That this limit is exceeded; 1 when it is exceeded already.
+    """
+    seconds_to_limit: float | None
+    """
+    Process seconds until it is exceeded at the earliest (2.5 % of the forecasts); null when fewer exceed it.
+    """
+    alarm_probability: float | None
+    """
+    That the alarm limit of the same channel is exceeded.
+    """
+    ends_at: AwareDatetime | None
+    """
+    When the step ends by the plan; null where nothing is planned.
+    """
+
+
 class VerdictSettings(BaseModel):
     """
     When the next step is called safe.
@@ -1061,7 +1152,19 @@ class AlarmDocument(BaseModel):
     """
 
     id: str
-    asset: str
+    asset: str | None
+    """
+    Null where it is about several: see `assets`.
+    """
+    assets: list[str]
+    """
+    All that have it now; of one that has returned all that had it.
+    """
+    cause: AlarmCause
+    action: None
+    """
+    What would clear a predicted alarm; not computed yet.
+    """
     kind: str
     channel: str
     """
@@ -1488,6 +1591,10 @@ class ModelDocument(BaseModel):
     """
     Null where the family has taught nothing yet, or the asset has none.
     """
+    laws: dict[str, LawDocument]
+    """
+    Where each law comes from: how friction grows with load, with speed and temperature, how it falls from fresh grease on, housing and films. Empty before the first identification and for versions of older releases.
+    """
     method: Literal["noa+refine", "refine", "noa"] | None
     """
     Of the identification; null for the priors.
@@ -1573,10 +1680,14 @@ class Target(BaseModel):
 
 class VerdictDocument(BaseModel):
     """
-    Whether the machine is safe now, and whether its next step is.
+    Whether the machine is safe now, to the end of its present step, and in its next step.
     """
 
     now: VerdictOf
+    present_step: VerdictOfPresentStep
+    """
+    Of what is left of the present planned step; with none planned, of the present point, held to the end of the forecast. A step that was called `not safe` stays so until it has ended or was changed.
+    """
     next_step: VerdictOf
     """
     Of the next planned step; with none planned, of the present one to its end.
@@ -1656,8 +1767,9 @@ class AdviceDocument(BaseModel):
     """
     ranked_by: Literal["runaway", "interval"] | None = None
     """
-    Where a runaway at the target is not excluded, steps are ranked by its probability after them, and those with like odds by the cautious interval; else by the cautious interval alone.
+    Where a runaway at the target is not excluded, steps are ranked by its probability after them, and those with like odds by the cautious interval; else by the cautious interval alone. Steps that reach the asked half-width are alike but for how long they take.
     """
+    next_step: NextStep
     steps: list[AdvisedStep]
     excluded: list[ExcludedStep]
     stop_rule: StopRule

@@ -7,20 +7,11 @@ from bearing_twin_client.documents import ProblemDocument
 
 
 class ProblemError(Exception):
-    """A call that the service refused or could not answer.
+    """A call that the service refused or could not answer, as RFC 9457 has it.
 
-    Attributes
-    ----------
-    status : int
-        HTTP status.
-    title : str
-        Of the status: ``Unprocessable Entity``.
-    detail : str
-        What is wrong, in one line.
-    field : str or None
-        The first field that is wrong: a JSON pointer into the body, or the name of a parameter.
-    problem : ProblemDocument or None
-        The whole document; None where something between here and the service answered.
+    `title` is the HTTP status in words, `detail` one line, `field` the first field that is wrong: a
+    JSON pointer into the body, or the name of a parameter. `problem` is the whole document; None
+    where something between here and the service answered.
     """
 
     def __init__(self, answer: httpx2.Response) -> None:

@@ -11,36 +11,17 @@ Row = SampleItem | ReceivedSampleItem | BucketItem
 
 @dataclass
 class Columns:
-    """One channel, ascending by time; the lists are equally long.
+    """One channel, ascending by time; the lists are equally long."""
 
-    Attributes
-    ----------
-    time : list of datetime
-        UTC; of a bucket its start.
-    value : list of float or None
-        In the channel's unit; of a bucket its mean. None where no good value is.
-    quality : list of int
-        OPC DA byte: below 64 bad, 64 to 191 uncertain, 192 and above good.
-    """
-
-    time: list[datetime] = field(default_factory=list)
+    time: list[datetime] = field(default_factory=list)  # UTC; of a bucket its start
+    #: In the channel's unit; of a bucket its mean. None where no good value is.
     value: list[float | None] = field(default_factory=list)
+    #: OPC DA byte: below 64 bad, 64 to 191 uncertain, 192 and above good.
     quality: list[int] = field(default_factory=list)
 
 
 def columns(rows: Iterable[Row]) -> dict[str, Columns]:
-    """Sort measurements by channel.
-
-    Parameters
-    ----------
-    rows
-        What ``Client.measurements`` gives.
-
-    Returns
-    -------
-    dict
-        Columns by channel, in the order in which the channels first come.
-    """
+    """Sort measurements by channel, in the order in which the channels first come."""
     found: dict[str, Columns] = {}
     for row in rows:
         one = found.setdefault(row.channel, Columns())

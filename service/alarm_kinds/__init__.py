@@ -1,8 +1,8 @@
 """The alarm kinds, one file each; a file here is a kind as soon as it is there.
 
 ``KINDS`` holds them by name, and `AlarmsSection` is ``[assets.alarms]`` of the configuration with a
-table for each of them. `docs/alarms.md` lists the keys. Delays, states and the journal belong to
-`service.alarms`.
+table for each of them. `docs/operate/alarms.md` lists the keys. Delays, states and the journal
+belong to `service.alarms`.
 """
 
 from collections.abc import Iterable, Mapping

@@ -5,19 +5,19 @@ from collections.abc import Iterator
 from pydantic import Field
 
 from service.domain.alarm_condition import AlarmCondition
-from service.domain.alarm_guidance import AlarmPoint, AlarmSubject, Guidance
+from service.domain.alarm_guidance import AlarmSubject, Guidance, PossibleAlarm
 from service.domain.alarm_kind import AlarmContext, AlarmKind, LevelRule, Levels, pairs_of
 from service.domain.channels import AMBIENT
 
 
-class Settings(LevelRule):
+class AboveAmbientRule(LevelRule):
     """A temperature that is too far above the ambient one; ``limits`` in K by channel."""
 
     deadband_k: float = Field(1.0, ge=0, le=50)
     limits: dict[str, Levels] = Field(default_factory=dict)
 
 
-def _conditions(context: AlarmContext, rule: Settings) -> Iterator[AlarmCondition]:
+def _conditions(context: AlarmContext, rule: AboveAmbientRule) -> Iterator[AlarmCondition]:
     ambient_c = context.good_value(AMBIENT)
     for channel, limits in rule.limits.items():
         value = context.good_value(channel)
@@ -37,7 +37,7 @@ def _suppressed(context: AlarmContext, channel: str, level: str) -> str | None:
     return context.standstill if level == "warning" else None
 
 
-def _points(subject: AlarmSubject, rule: Settings) -> Iterator[AlarmPoint]:
+def _points(subject: AlarmSubject, rule: AboveAmbientRule) -> Iterator[PossibleAlarm]:
     return pairs_of(rule.limits, "K", "deadband_k")
 
 
@@ -57,5 +57,5 @@ _GUIDANCE = Guidance(
 )
 
 KIND = AlarmKind(
-    "above ambient", Settings, _conditions, _suppressed, points=_points, guidance=_GUIDANCE
+    "above ambient", AboveAmbientRule, _conditions, _suppressed, points=_points, guidance=_GUIDANCE
 )

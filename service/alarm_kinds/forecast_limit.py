@@ -6,7 +6,7 @@ from typing import Self
 from pydantic import Field, model_validator
 
 from service.domain.alarm_condition import AlarmCondition
-from service.domain.alarm_guidance import AlarmPoint, AlarmSubject, Guidance
+from service.domain.alarm_guidance import AlarmSubject, Guidance, PossibleAlarm
 from service.domain.alarm_kind import (
     DAY_S,
     LEVELS,
@@ -16,9 +16,13 @@ from service.domain.alarm_kind import (
     pairs_of,
 )
 from service.domain.channels import label
+from service.domain.words import percent
+
+#: From this probability on a limit "will" be exceeded; below it "may" be.
+CERTAIN_FROM = 0.95
 
 
-class Settings(LevelRule):
+class ForecastLimitRule(LevelRule):
     """A limit that the forecast exceeds ahead."""
 
     on_delay_s: float = Field(0.0, ge=0, le=DAY_S)
@@ -36,31 +40,47 @@ class Settings(LevelRule):
         return self
 
 
-def _conditions(context: AlarmContext, rule: Settings) -> Iterator[AlarmCondition]:
-    """Between the probability that raises and the one that clears, an alarm stays as it is."""
+def _conditions(context: AlarmContext, rule: ForecastLimitRule) -> Iterator[AlarmCondition]:
+    """Between the probability that raises and the one that clears, an alarm stays as it is.
+
+    A model that was never identified raises none: the verdict is unknown then, and the two agree.
+    """
     for channel, levels in context.crossings.items():
         limits = context.limits[channel]
         for level, crossing in levels.items():
             limit_c = limits.warning if level == "warning" else limits.alarm
             active: bool | None = None
-            if crossing.probability >= rule.raise_probability:
+            if not context.identified:
+                active = False
+            elif crossing.probability >= rule.raise_probability:
                 active = True
             elif crossing.probability < rule.clear_probability:
                 active = False
-            verb = "will" if crossing.median_s is not None else "may"
+            record = ""
+            if active is not False:
+                at_s = crossing.earliest_s if crossing.median_s is None else crossing.median_s
+                said = context.record(channel, at_s)
+                record = f"; {said}" if said else ""
             yield KIND.condition(
                 context,
                 rule,
                 channel,
                 level,
                 active,
-                f"{label(channel)} {verb} exceed {level} {limit_c:g} °C",
+                _message(channel, level, limit_c, crossing.probability) + record,
                 limit_value=limit_c,
                 unit="°C",
                 predicted=True,
                 lead_time_s=crossing.earliest_s,
                 probability=crossing.probability,
             )
+
+
+def _message(channel: str, level: str, limit_c: float, probability: float) -> str:
+    """Say what is expected, never more certain than the forecast is."""
+    if probability >= CERTAIN_FROM:
+        return f"{label(channel)} will exceed {level} {limit_c:g} °C"
+    return f"{label(channel)} may exceed {level} {limit_c:g} °C, {percent(probability)}"
 
 
 def _suppressed(context: AlarmContext, channel: str, level: str) -> str | None:
@@ -74,7 +94,7 @@ def _kept(context: AlarmContext) -> Iterable[tuple[str, str]]:
     return ((channel, level) for channel in context.limits for level in LEVELS)
 
 
-def _points(subject: AlarmSubject, rule: Settings) -> Iterator[AlarmPoint]:
+def _points(subject: AlarmSubject, rule: ForecastLimitRule) -> Iterator[PossibleAlarm]:
     return pairs_of(subject.limits, "°C")
 
 
@@ -92,13 +112,13 @@ _GUIDANCE = Guidance(
     identification_method="forecast of the twin; the limit is that of the measured alarm",
     suppression=(
         "while the limit is already exceeded; while speed, load or ambient is unknown; "
-        "while the model is not trusted"
+        "while the model is not trusted; no alarm before the model was identified"
     ),
 )
 
 KIND = AlarmKind(
     "forecast limit",
-    Settings,
+    ForecastLimitRule,
     _conditions,
     _suppressed,
     _kept,

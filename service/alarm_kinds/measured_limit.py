@@ -5,18 +5,18 @@ from collections.abc import Iterator
 from pydantic import Field
 
 from service.domain.alarm_condition import AlarmCondition
-from service.domain.alarm_guidance import AlarmPoint, AlarmSubject, Guidance
+from service.domain.alarm_guidance import AlarmSubject, Guidance, PossibleAlarm
 from service.domain.alarm_kind import AlarmContext, AlarmKind, LevelRule, pairs_of
 
 
-class Settings(LevelRule):
+class MeasuredLimitRule(LevelRule):
     """A temperature over its limit in ``[assets.limits]``."""
 
     # 1 % of a range of 0 to 100 degrees.
     deadband_k: float = Field(1.0, ge=0, le=50)
 
 
-def _conditions(context: AlarmContext, rule: Settings) -> Iterator[AlarmCondition]:
+def _conditions(context: AlarmContext, rule: MeasuredLimitRule) -> Iterator[AlarmCondition]:
     for channel, limits in context.limits.items():
         yield from KIND.over_limits(
             context,
@@ -35,7 +35,7 @@ def _suppressed(context: AlarmContext, channel: str, level: str) -> str | None:
     return context.standstill if level == "warning" else None
 
 
-def _points(subject: AlarmSubject, rule: Settings) -> Iterator[AlarmPoint]:
+def _points(subject: AlarmSubject, rule: MeasuredLimitRule) -> Iterator[PossibleAlarm]:
     measured = {name: pair for name, pair in subject.limits.items() if name in subject.channels}
     return pairs_of(measured, "°C", "deadband_k")
 
@@ -59,5 +59,10 @@ _GUIDANCE = Guidance(
 )
 
 KIND = AlarmKind(
-    "measured limit", Settings, _conditions, _suppressed, points=_points, guidance=_GUIDANCE
+    "measured limit",
+    MeasuredLimitRule,
+    _conditions,
+    _suppressed,
+    points=_points,
+    guidance=_GUIDANCE,
 )

@@ -5,11 +5,11 @@ from collections.abc import Iterator
 from pydantic import Field
 
 from service.domain.alarm_condition import AlarmCondition
-from service.domain.alarm_guidance import AlarmPoint, AlarmSubject, Guidance
+from service.domain.alarm_guidance import AlarmSubject, Guidance, PossibleAlarm
 from service.domain.alarm_kind import AlarmContext, AlarmKind, LevelRule, Levels, pairs_of
 
 
-class Settings(LevelRule):
+class RateOfRiseRule(LevelRule):
     """A temperature that rises too fast, in K/min over a window."""
 
     window_s: float = Field(300.0, ge=60, le=3600)
@@ -17,7 +17,7 @@ class Settings(LevelRule):
     limits: Levels = Levels(warning=4.0, alarm=8.0)
 
 
-def _conditions(context: AlarmContext, rule: Settings) -> Iterator[AlarmCondition]:
+def _conditions(context: AlarmContext, rule: RateOfRiseRule) -> Iterator[AlarmCondition]:
     for channel, rate in context.rates_k_per_min.items():
         yield from KIND.over_limits(
             context,
@@ -35,7 +35,7 @@ def _suppressed(context: AlarmContext, channel: str, level: str) -> str | None:
     return context.standstill or context.no_data(channel)
 
 
-def _points(subject: AlarmSubject, rule: Settings) -> Iterator[AlarmPoint]:
+def _points(subject: AlarmSubject, rule: RateOfRiseRule) -> Iterator[PossibleAlarm]:
     return pairs_of(dict.fromkeys(subject.temperatures, rule.limits), "K/min", "deadband_k_per_min")
 
 
@@ -55,5 +55,5 @@ _GUIDANCE = Guidance(
 )
 
 KIND = AlarmKind(
-    "rate of rise", Settings, _conditions, _suppressed, points=_points, guidance=_GUIDANCE
+    "rate of rise", RateOfRiseRule, _conditions, _suppressed, points=_points, guidance=_GUIDANCE
 )

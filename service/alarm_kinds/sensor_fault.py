@@ -6,18 +6,18 @@ from pydantic import Field
 
 from adapters.samples import is_good
 from service.domain.alarm_condition import AlarmCondition
-from service.domain.alarm_guidance import AlarmPoint, AlarmSubject, Guidance
+from service.domain.alarm_guidance import AlarmSubject, Guidance, PossibleAlarm
 from service.domain.alarm_kind import DAY_S, SENSOR_FAULT, AlarmContext, AlarmKind, PlainRule
 from service.domain.channels import label
 
 
-class Settings(PlainRule):
+class SensorFaultRule(PlainRule):
     """A sensor without a usable value."""
 
     off_delay_s: float = Field(10.0, ge=0, le=DAY_S)
 
 
-def _conditions(context: AlarmContext, rule: Settings) -> Iterator[AlarmCondition]:
+def _conditions(context: AlarmContext, rule: SensorFaultRule) -> Iterator[AlarmCondition]:
     for channel, facts in context.channels.items():
         faulty: bool | None = False
         why = ""
@@ -42,8 +42,8 @@ def _suppressed(context: AlarmContext, channel: str, level: str) -> str | None:
     return context.no_data(channel)
 
 
-def _points(subject: AlarmSubject, rule: Settings) -> Iterator[AlarmPoint]:
-    return (AlarmPoint(channel) for channel in subject.channels)
+def _points(subject: AlarmSubject, rule: SensorFaultRule) -> Iterator[PossibleAlarm]:
+    return (PossibleAlarm(channel) for channel in subject.channels)
 
 
 _GUIDANCE = Guidance(
@@ -62,5 +62,5 @@ _GUIDANCE = Guidance(
 )
 
 KIND = AlarmKind(
-    SENSOR_FAULT, Settings, _conditions, _suppressed, points=_points, guidance=_GUIDANCE
+    SENSOR_FAULT, SensorFaultRule, _conditions, _suppressed, points=_points, guidance=_GUIDANCE
 )

@@ -1,6 +1,7 @@
 """No sample for too long: one alarm of a source that has fallen silent, else of the channel.
 
-What has never sent anything is waited for; it raises nothing.
+The alarm of a source is one for all assets that are read from it: an asset only says here whether
+its own part of the source is silent. What has never sent anything is waited for; it raises nothing.
 """
 
 from collections.abc import Iterator
@@ -8,36 +9,32 @@ from collections.abc import Iterator
 from pydantic import Field
 
 from service.domain.alarm_condition import AlarmCondition
-from service.domain.alarm_guidance import AlarmPoint, AlarmSubject, Guidance
-from service.domain.alarm_kind import (
-    DAY_S,
-    STALE_DATA,
-    AlarmContext,
-    AlarmKind,
-    PlainRule,
-    source_channel,
-)
+from service.domain.alarm_guidance import AlarmSubject, Guidance, PossibleAlarm
+from service.domain.alarm_kind import DAY_S, AlarmContext, AlarmKind, PlainRule
+from service.domain.causes import STALE_DATA, has_own_alarm, source_channel
 from service.domain.channels import label
 
 
-class Settings(PlainRule):
+class StaleDataRule(PlainRule):
     """A channel or a whole source without any value."""
 
     off_delay_s: float = Field(10.0, ge=0, le=DAY_S)
 
 
-def _conditions(context: AlarmContext, rule: Settings) -> Iterator[AlarmCondition]:
+def _conditions(context: AlarmContext, rule: StaleDataRule) -> Iterator[AlarmCondition]:
     for source, channels in context.sources.channels.items():
-        if len(channels) > 1:
-            yield KIND.condition(
-                context,
-                rule,
-                source_channel(source),
-                "",
-                context.sources.is_lost(source),
-                f"No data from {source} ({len(channels)} channels)",
-                covers=tuple(channels),
-            )
+        if not has_own_alarm(source, channels):
+            continue
+        what = f"{len(channels)} channels" if len(channels) > 1 else label(channels[0]).lower()
+        yield KIND.condition(
+            context,
+            rule,
+            source_channel(source),
+            "",
+            context.sources.is_lost(source),
+            f"No data from {source} ({what})",
+            covers=tuple(channels),
+        )
     for channel, facts in context.channels.items():
         yield KIND.condition(
             context,
@@ -57,12 +54,12 @@ def _suppressed(context: AlarmContext, channel: str, level: str) -> str | None:
     return None
 
 
-def _points(subject: AlarmSubject, rule: Settings) -> Iterator[AlarmPoint]:
+def _points(subject: AlarmSubject, rule: StaleDataRule) -> Iterator[PossibleAlarm]:
     for source, channels in subject.sources.items():
-        if len(channels) > 1:
-            yield AlarmPoint(source_channel(source))
+        if has_own_alarm(source, channels):
+            yield PossibleAlarm(source_channel(source))
     for channel in subject.channels:
-        yield AlarmPoint(channel)
+        yield PossibleAlarm(channel)
 
 
 _GUIDANCE = Guidance(
@@ -79,4 +76,6 @@ _GUIDANCE = Guidance(
     suppression="of a channel: while its whole source is lost",
 )
 
-KIND = AlarmKind(STALE_DATA, Settings, _conditions, _suppressed, points=_points, guidance=_GUIDANCE)
+KIND = AlarmKind(
+    STALE_DATA, StaleDataRule, _conditions, _suppressed, points=_points, guidance=_GUIDANCE
+)

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pydantic import Field
 
 from service.domain.alarm_condition import AlarmCondition
-from service.domain.alarm_guidance import AlarmPoint, AlarmSubject, Guidance
+from service.domain.alarm_guidance import AlarmSubject, Guidance, PossibleAlarm
 from service.domain.alarm_kind import (
     DAY_S,
     AlarmContext,
@@ -16,7 +16,7 @@ from service.domain.alarm_kind import (
 )
 
 
-class Settings(LevelRule):
+class TwinDifferenceRule(LevelRule):
     """A temperature that is hotter than the model alone says, in K."""
 
     on_delay_s: float = Field(600.0, ge=0, le=DAY_S)
@@ -25,7 +25,7 @@ class Settings(LevelRule):
     limits: Levels = Levels(warning=5.0, alarm=8.0)
 
 
-def _conditions(context: AlarmContext, rule: Settings) -> Iterator[AlarmCondition]:
+def _conditions(context: AlarmContext, rule: TwinDifferenceRule) -> Iterator[AlarmCondition]:
     for channel, difference_k in context.differences_k.items():
         yield from KIND.over_limits(
             context,
@@ -43,7 +43,7 @@ def _suppressed(context: AlarmContext, channel: str, level: str) -> str | None:
     return context.standstill or context.no_data(channel) or context.not_comparable
 
 
-def _points(subject: AlarmSubject, rule: Settings) -> Iterator[AlarmPoint]:
+def _points(subject: AlarmSubject, rule: TwinDifferenceRule) -> Iterator[PossibleAlarm]:
     return pairs_of(dict.fromkeys(subject.temperatures, rule.limits), "K", "deadband_k")
 
 
@@ -68,5 +68,10 @@ _GUIDANCE = Guidance(
 )
 
 KIND = AlarmKind(
-    "twin difference", Settings, _conditions, _suppressed, points=_points, guidance=_GUIDANCE
+    "twin difference",
+    TwinDifferenceRule,
+    _conditions,
+    _suppressed,
+    points=_points,
+    guidance=_GUIDANCE,
 )

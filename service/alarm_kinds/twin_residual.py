@@ -5,12 +5,12 @@ from collections.abc import Iterable, Iterator
 from pydantic import Field
 
 from service.domain.alarm_condition import AlarmCondition, Priority
-from service.domain.alarm_guidance import AlarmPoint, AlarmSubject, Guidance
+from service.domain.alarm_guidance import AlarmSubject, Guidance, PossibleAlarm
 from service.domain.alarm_kind import DAY_S, AlarmContext, AlarmKind, PlainRule
 from service.domain.channels import label
 
 
-class Settings(PlainRule):
+class TwinResidualRule(PlainRule):
     """A machine that does not do what its model says, found by a sequential test."""
 
     priority: Priority = 3
@@ -20,7 +20,7 @@ class Settings(PlainRule):
     false_alarms_per_1000_h: float = Field(0.5, gt=0, le=100)
 
 
-def _conditions(context: AlarmContext, rule: Settings) -> Iterator[AlarmCondition]:
+def _conditions(context: AlarmContext, rule: TwinResidualRule) -> Iterator[AlarmCondition]:
     threshold = context.residual_threshold
     for channel, test in context.residual_tests.items():
         side = "hotter" if test.high >= test.low else "colder"
@@ -47,8 +47,8 @@ def _kept(context: AlarmContext) -> Iterable[tuple[str, str]]:
     return ((channel, "") for channel in context.temperatures)
 
 
-def _points(subject: AlarmSubject, rule: Settings) -> Iterator[AlarmPoint]:
-    return (AlarmPoint(channel) for channel in subject.temperatures)
+def _points(subject: AlarmSubject, rule: TwinResidualRule) -> Iterator[PossibleAlarm]:
+    return (PossibleAlarm(channel) for channel in subject.temperatures)
 
 
 _GUIDANCE = Guidance(
@@ -70,5 +70,11 @@ _GUIDANCE = Guidance(
 )
 
 KIND = AlarmKind(
-    "twin residual", Settings, _conditions, _suppressed, _kept, points=_points, guidance=_GUIDANCE
+    "twin residual",
+    TwinResidualRule,
+    _conditions,
+    _suppressed,
+    _kept,
+    points=_points,
+    guidance=_GUIDANCE,
 )

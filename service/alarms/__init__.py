@@ -1,12 +1,9 @@
 """Alarms: the state machine of ISA-18.2 / IEC 62682 and the book of present alarms."""
 
-from service.alarms.book import (
-    LONGEST_SHELVING_S,
-    SERVICE,
-    AlarmBook,
-    NotAllowedError,
-)
+from service.alarms.book import LONGEST_SHELVING_S, AlarmBook
+from service.alarms.changes import SERVICE, NotAllowedError
 from service.alarms.register import UnknownAlarmError
+from service.alarms.shared import SharedCauses
 from service.alarms.states import (
     ACTIVE_STATES,
     SET_ASIDE_STATES,
@@ -33,6 +30,7 @@ __all__ = [
     "EventKind",
     "NotAllowedError",
     "Priority",
+    "SharedCauses",
     "Transition",
     "UnknownAlarmError",
     "next_state",

@@ -1,18 +1,22 @@
 """The alarm book: which alarms there are now, and what became of each."""
 
 import threading
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from adapters.protocol import Clock
+from service.alarms.changes import SERVICE, AlarmChanges, NotAllowedError
 from service.alarms.records import (
     AlarmKey,
+    as_it_is,
+    assets_of,
     event_line,
     following,
     journal_line,
-    updated,
+    key_of,
+    refusal,
+    shortened,
     urgency,
-    with_peak,
 )
 from service.alarms.register import Register, Watched
 from service.alarms.states import ACTIVE_STATES, SET_ASIDE_STATES, AlarmEvent, AlarmState
@@ -21,20 +25,18 @@ from service.clock import MICROSECONDS
 from service.domain.alarm_condition import AlarmCondition, EventKind
 from service.store import Alarm, AlarmChange, AuditEntry, Outbox
 
-#: Who the journal names for what happens without a person.
-SERVICE = "service"
 #: No alarm may be shelved for longer at a time, in process seconds.
 LONGEST_SHELVING_S = 8 * 3600.0
 _EVENTS_OF_A_CHANGE = 500
+#: Alarms whose shelving ends in one go; the others follow with the next call.
+_BACK_AT_ONCE = 20
 _NOT_CONFIGURED = "no longer configured"
 _TIME_IS_OVER = "the shelving time has expired"
+_ONE_ALARM = "one alarm for all assets of its cause"
 # What is said to the alarm of a source counts for these of its channels, too.
 _COVERED = ("stale data", "sensor fault")
 _PASSED_ON = (AlarmEvent.ACKNOWLEDGE, AlarmEvent.SHELVE)
-
-
-class NotAllowedError(ValueError):
-    """An alarm's state does not allow what was asked; the text names alarm, state and wish."""
+_COMES_BACK = (AlarmEvent.UNSHELVE, AlarmEvent.PUT_BACK)
 
 
 class AlarmBook:
@@ -47,17 +49,10 @@ class AlarmBook:
     id before it is raised, so that it can be shelved or taken out of service; until one of that
     happens it is not kept.
 
-    Parameters
-    ----------
-    outbox : Outbox
-        Knows the alarms that were open when the service stopped; takes the changes.
-    clock : Clock
-        Delays and shelving count in its process time.
-    on_change : callable
-        Gets every alarm whose state, message or priority changed, in order, also once when it
-        has become normal. It must return quickly.
-    begins_empty : bool
-        Whether the open alarms are another cell's until `take_over` names their assets.
+    - ``on_change``: gets every alarm whose state, message or priority changed, in order, also once
+      when it has become normal. It must return quickly.
+    - ``begins_empty``: whether the open alarms are another cell's until `take_over` names their
+      assets.
     """
 
     def __init__(
@@ -73,16 +68,18 @@ class AlarmBook:
         self._lock = threading.RLock()
         self._register = Register([] if begins_empty else outbox.load_alarms())
         self._outbox = outbox
+        self._changes = AlarmChanges(self._register, outbox, on_change)
 
     # ------------------------------------------------------------------ what the rules say
     def evaluate(self, condition: AlarmCondition) -> None:
-        """Take note of the present truth of a condition; raises, renews or returns its alarm."""
+        """Record the present truth of a condition; raises, renews or returns its alarm."""
         self.evaluate_all((condition,))
 
     def evaluate_all(self, conditions: Iterable[AlarmCondition]) -> None:
-        """Take note of the present truth of many conditions, in their order, at one moment."""
+        """Record the present truth of many conditions, in their order, at one moment."""
         now_us = self._clock.now_us()
         with self._lock:
+            self._end_surplus(now_us)
             self._end_shelving(now_us)
             for condition in conditions:
                 watched = self._register.take(condition, now_us)
@@ -92,43 +89,60 @@ class AlarmBook:
                     watched.figures = condition
 
     def _judge(self, watched: Watched, condition: AlarmCondition, now_us: int) -> None:
-        alarm, holds = watched.alarm, condition.active
+        alarm, holds, joined = watched.alarm, condition.active, watched.join(condition)
         if alarm.present and holds is False and condition.in_deadband:
             holds = None
+        if alarm.state in ACTIVE_STATES and condition.probability is not None:
+            # Its text says how probable it is.
+            alarm = self._changes.renew(watched, condition, now_us)
         if holds is None:
             if watched.timer is not None:
                 watched.timer.pause()
         elif holds == alarm.present:
             watched.timer = None
-            alarm = self._renew(watched, condition, now_us)
+            alarm = self._changes.renew(watched, condition, now_us)
         else:
             watched.timer = timer = watched.timer or Timer()
             if timer.run(now_us) >= (condition.on_delay_s if holds else condition.off_delay_s):
                 watched.timer = None
-                alarm = self._turn(alarm, condition, holds, now_us)
-        alarm = self._suppress(alarm, condition, now_us)
+                alarm = self._changes.turn(watched, condition, holds, now_us)
+        alarm = self._changes.suppress(alarm, condition, now_us)
         standing_s = (now_us - alarm.since_us) / MICROSECONDS
-        if alarm.state == AlarmState.ACKED and 0 < condition.re_alarm_s <= standing_s:
-            self._move(alarm, AlarmEvent.RE_ALARM, now_us, SERVICE)
+        is_due = holds is not False and 0 < condition.re_alarm_s <= standing_s
+        if alarm.state == AlarmState.ACKED and (is_due or joined):
+            comment = f"also: {shortened(sorted(joined))}" if joined else ""
+            self._changes.move(alarm, AlarmEvent.RE_ALARM, now_us, SERVICE, comment)
 
     def withdraw(self, asset: str, known: Collection[AlarmKey]) -> None:
-        """End the alarms of an asset whose conditions do not exist any more.
+        """End the alarms of an asset whose conditions are not among those that are known.
 
         After a change of the configuration nothing would ever bring them back to normal.
-
-        Parameters
-        ----------
-        asset : str
-            Whose alarms.
-        known : collection of tuple
-            The keys of all conditions that the asset has.
         """
         now_us = self._clock.now_us()
         with self._lock:
-            for key, watched in list(self._register.open.items()):
-                if key[0] == asset and key not in known:
-                    gone = replace(watched.alarm, present=False, returned_at_us=now_us)
-                    self._go(gone, AlarmState.NORM, "withdraw", now_us, SERVICE, _NOT_CONFIGURED)
+            for alarm in self._register.open_of(asset):
+                if (key := key_of(alarm))[0] and key not in known:
+                    self._changes.withdraw(alarm, now_us, _NOT_CONFIGURED)
+
+    def shared(self) -> dict[AlarmKey, Alarm]:
+        """Give the open alarms of causes that assets share."""
+        with self._lock:
+            return self._register.shared()
+
+    def keep_under(self, key: AlarmKey, assets: Collection[str] | None) -> None:
+        """Keep a shared alarm under one of these assets; of none it ends.
+
+        None: it goes on in another cell, and nothing is known of it here any more.
+        """
+        now_us = self._clock.now_us()
+        with self._lock:
+            alarm = self.shared().get(key)
+            if assets and alarm is not None and alarm.asset not in assets:
+                self._changes.replace(replace(alarm, asset=min(assets)))
+            elif not assets:
+                if assets is not None and alarm is not None:
+                    self._changes.withdraw(alarm, now_us, _NOT_CONFIGURED)
+                self._register.drop(key)
 
     def forget(self, assets: Collection[str]) -> None:
         """End the alarms of assets that are not followed any more, and know nothing of them."""
@@ -156,12 +170,21 @@ class AlarmBook:
         event = event_line(asset, kind, message, self._clock.now_us(), who, comment)
         self._outbox.record(AlarmChange(None, (event,)))
 
-    def record_events(self, assets: Sequence[str], kind: EventKind, message: str) -> None:
-        """Write the same event of many assets into the journal."""
-        now_us = self._clock.now_us()
+    def record_events(
+        self,
+        assets: Sequence[str],
+        kind: EventKind,
+        message: str,
+        times_us: Mapping[str, int] | None = None,
+    ) -> None:
+        """Write the same event of many assets into the journal; without times it is now."""
+        now_us, times_us = self._clock.now_us(), times_us or {}
         for begin in range(0, len(assets), _EVENTS_OF_A_CHANGE):
             portion = assets[begin : begin + _EVENTS_OF_A_CHANGE]
-            lines = tuple(event_line(one, kind, message, now_us, SERVICE) for one in portion)
+            lines = tuple(
+                event_line(one, kind, message, times_us.get(one, now_us), SERVICE)
+                for one in portion
+            )
             self._outbox.record(AlarmChange(None, lines))
 
     # ------------------------------------------------------------------ what people say
@@ -171,14 +194,9 @@ class AlarmBook:
         """Acknowledge an alarm and return it as it is then; one that has returned is over.
 
         The line of the audit trail, where there is one, is written in one transaction with the
-        alarm's change. So it is by the methods below.
-
-        Raises
-        ------
-        UnknownAlarmError
-            If there is no alarm of this id.
-        NotAllowedError
-            If the alarm's state does not allow it. So do the methods below.
+        alarm's change. So it is by the methods below. Raises `UnknownAlarmError` if there is no
+        alarm of this id; `NotAllowedError` if the alarm's state does not allow it. So do the
+        methods below.
         """
         return self._act(alarm_id, AlarmEvent.ACKNOWLEDGE, who, comment, audit=audit)
 
@@ -196,18 +214,9 @@ class AlarmBook:
         comment: str = "",
         audit: AuditEntry | None = None,
     ) -> Alarm:
-        """Set an alarm aside for a while; it comes back by itself.
+        """Shelve an alarm for a while; it comes back automatically.
 
-        Parameters
-        ----------
-        alarm_id : str
-            Which alarm.
-        duration_s : float
-            Process seconds, at most `LONGEST_SHELVING_S`.
-        who, comment : str
-            For the journal.
-        audit : AuditEntry, optional
-            See `acknowledge`.
+        ``duration_s``: process seconds, at most `LONGEST_SHELVING_S`.
         """
         if not 0 < duration_s <= LONGEST_SHELVING_S:
             raise ValueError(
@@ -251,13 +260,7 @@ class AlarmBook:
 
     # ------------------------------------------------------------------ what there is
     def alarm(self, alarm_id: str) -> Alarm:
-        """Give one alarm.
-
-        Raises
-        ------
-        UnknownAlarmError
-            If there is no alarm of this id.
-        """
+        """Give one alarm. Raises `UnknownAlarmError` if there is no alarm of this id."""
         with self._lock:
             self._end_shelving(self._clock.now_us())
             return self._register.find(alarm_id)
@@ -278,11 +281,21 @@ class AlarmBook:
         """All alarms that are normal: the conditions that are watched and not there."""
         return self._listed(asset, normal=True)
 
+    def watched(self, asset: str | None, *, normal: bool) -> list[Watched]:
+        """As `active` or `normal`, in no order; `Watched.shown` gives the alarm as it is then."""
+        with self._lock:
+            self._end_shelving(self._clock.now_us())
+            return self._register.listed(asset, normal)
+
+    def assets(self, *, normal: bool) -> list[str]:
+        """Assets that have such alarms, in the order of their ids."""
+        with self._lock:
+            return self._register.assets(normal)
+
     # ------------------------------------------------------------------ changes
     def _listed(self, asset: str | None, normal: bool) -> list[Alarm]:
         with self._lock:
-            self._end_shelving(self._clock.now_us())
-            listed = self._register.listed(asset, normal)
+            listed = [watched.shown for watched in self.watched(asset, normal=normal)]
         return sorted(listed, key=urgency)
 
     def _act(
@@ -298,22 +311,21 @@ class AlarmBook:
         with self._lock:
             alarm = self.alarm(alarm_id)
             if following(alarm, event) is None:
-                by = f" (acknowledged by {alarm.acknowledged_by})" if alarm.acknowledged_by else ""
-                raise NotAllowedError(
-                    f"alarm {alarm_id} is {alarm.state}{by}: cannot {_ACTIONS[event]}"
-                )
+                raise NotAllowedError(refusal(alarm, event))
             if event == AlarmEvent.ACKNOWLEDGE:
                 alarm = replace(alarm, acknowledged_at_us=now_us, acknowledged_by=who)
             elif event == AlarmEvent.SHELVE:
                 until_us = now_us + round(duration_s * MICROSECONDS)
                 alarm = replace(alarm, shelved_until_us=until_us, shelved_by=who)
-            alarm = self._move(alarm, event, now_us, who, comment, audit)
             condition = self._register.condition(alarm)
+            if event in _COMES_BACK:
+                alarm = as_it_is(alarm, condition, now_us)
+            alarm = self._changes.move(alarm, event, now_us, who, comment, audit)
             if condition is None:
                 return alarm
             if event in _PASSED_ON:
                 self._pass_on(alarm, condition, event, who, comment, duration_s)
-            return self._suppress(alarm, condition, now_us)
+            return self._changes.suppress(alarm, condition, now_us)
 
     def _pass_on(
         self,
@@ -326,122 +338,32 @@ class AlarmBook:
     ) -> None:
         """Say the same to the open alarms that this one covers: one cause, one answer."""
         comment = comment or f"with: {alarm.message}"
-        for other in [watched.alarm for watched in self._register.open.values()]:
-            if (
-                other.asset == alarm.asset
-                and other.kind in _COVERED
-                and other.channel in condition.covers
-                and other.state not in SET_ASIDE_STATES
-                and following(other, event) is not None
-            ):
-                self._act(other.id, event, who, comment, duration_s)
+        for asset in assets_of(alarm) if condition.covers else ():
+            for other in self._register.open_of(asset):
+                if (
+                    other.kind in _COVERED
+                    and other.channel in condition.covers
+                    and other.state not in SET_ASIDE_STATES
+                    and following(other, event) is not None
+                ):
+                    self._act(other.id, event, who, comment, duration_s)
+
+    def _end_surplus(self, now_us: int) -> None:
+        """End the alarms of a cause that has another one."""
+        surplus, self._register.surplus = self._register.surplus, []
+        for alarm in surplus:
+            gone = replace(alarm, present=False, returned_at_us=now_us, state="NORM")
+            self._changes.record(alarm, gone, "withdraw", now_us, SERVICE, _ONE_ALARM)
+        shared = self._register.shared()
+        for key in {key_of(alarm) for alarm in surplus} & shared.keys():
+            self._changes.replace(shared[key])
 
     def _end_shelving(self, now_us: int) -> None:
         """Bring back what was shelved long enough; also after the clock was set back by hours."""
         longest_us = round(LONGEST_SHELVING_S * MICROSECONDS)
-        for alarm in [self._register.open[key].alarm for key in self._register.shelved]:
-            until_us = alarm.shelved_until_us
-            if until_us is not None and not 0 < until_us - now_us <= longest_us:
-                alarm = self._move(alarm, AlarmEvent.UNSHELVE, now_us, SERVICE, _TIME_IS_OVER)
-                condition = self._register.condition(alarm)
-                if condition is not None:
-                    self._suppress(alarm, condition, now_us)
-
-    def _turn(self, alarm: Alarm, condition: AlarmCondition, holds: bool, now_us: int) -> Alarm:
-        """Take in that the condition has come or gone, delays included."""
-        if holds:
-            alarm = replace(
-                updated(alarm, condition),
-                present=True,
-                raised_at_us=alarm.raised_at_us or now_us,
-                returned_at_us=None,
-            )
-            alarm = with_peak(alarm, now_us)
-            event = AlarmEvent.SUPPRESS if condition.suppressed_reason else AlarmEvent.RAISE
-        else:
-            alarm = replace(alarm, present=False, returned_at_us=now_us)
-            event = AlarmEvent.RETURN
-        if following(alarm, event) is None:  # set aside already
-            return self._replace(alarm)
-        if event == AlarmEvent.SUPPRESS:
-            alarm = replace(alarm, suppressed_reason=condition.suppressed_reason)
-        return self._move(alarm, event, now_us, SERVICE)
-
-    def _suppress(self, alarm: Alarm, condition: AlarmCondition, now_us: int) -> Alarm:
-        """Set aside what means nothing now, and bring it back."""
-        reason = condition.suppressed_reason
-        if reason and alarm.state in ACTIVE_STATES:
-            return self._move(
-                replace(alarm, suppressed_reason=reason), AlarmEvent.SUPPRESS, now_us, SERVICE
-            )
-        if alarm.state == AlarmState.DSUPR:
-            if not reason:
-                return self._move(alarm, AlarmEvent.UNSUPPRESS, now_us, SERVICE)
-            if reason != alarm.suppressed_reason:
-                return self._replace(replace(alarm, suppressed_reason=reason))
-        return alarm
-
-    def _renew(self, watched: Watched, condition: AlarmCondition, now_us: int) -> Alarm:
-        """Keep the figures fresh; only a new text or priority of an open alarm is news."""
-        alarm = watched.alarm
-        if not alarm.present:
-            if alarm.state == AlarmState.NORM:
-                watched.figures = condition
-            return alarm  # what was wrong when it returned stays to be read
-        renewed = with_peak(updated(alarm, condition), now_us)
-        if (renewed.message, renewed.priority) == (alarm.message, alarm.priority):
-            self._register.keep(renewed)
-            return renewed
-        return self._replace(renewed)
-
-    def _move(
-        self,
-        alarm: Alarm,
-        event: AlarmEvent,
-        now_us: int,
-        who: str,
-        comment: str = "",
-        audit: AuditEntry | None = None,
-    ) -> Alarm:
-        state = following(alarm, event)
-        if state is None:
-            raise NotAllowedError(f"alarm {alarm.id} is {alarm.state}: no {event}")
-        return self._go(alarm, state, str(event), now_us, who, comment, audit)
-
-    def _go(
-        self,
-        alarm: Alarm,
-        state: AlarmState,
-        event: str,
-        now_us: int,
-        who: str,
-        comment: str,
-        audit: AuditEntry | None = None,
-    ) -> Alarm:
-        moved = replace(alarm, state=state.value, since_us=now_us, comment=comment or alarm.comment)
-        if state != AlarmState.SHLVD:
-            moved = replace(moved, shelved_until_us=None, shelved_by=None)
-        if state != AlarmState.DSUPR:
-            moved = replace(moved, suppressed_reason=None)
-        self._register.move(moved, now_us)
-        line = journal_line(moved, alarm.state, event, now_us, who, comment)
-        self._outbox.record(AlarmChange(moved, (line,), audit))
-        self._on_change(moved)
-        return moved
-
-    def _replace(self, alarm: Alarm) -> Alarm:
-        """Take news of an alarm that stays in its state."""
-        self._register.keep(alarm)
-        self._outbox.record(AlarmChange(alarm))
-        self._on_change(alarm)
-        return alarm
-
-
-_ACTIONS = {
-    AlarmEvent.ACKNOWLEDGE: "acknowledge it",
-    AlarmEvent.RESET: "reset it",
-    AlarmEvent.SHELVE: "shelve it",
-    AlarmEvent.UNSHELVE: "unshelve it",
-    AlarmEvent.TAKE_OUT: "take it out of service",
-    AlarmEvent.PUT_BACK: "return it to service",
-}
+        for alarm in self._register.shelving_over(now_us, longest_us, _BACK_AT_ONCE):
+            condition = self._register.condition(alarm)
+            alarm = as_it_is(alarm, condition, now_us)
+            alarm = self._changes.move(alarm, AlarmEvent.UNSHELVE, now_us, SERVICE, _TIME_IS_OVER)
+            if condition is not None:
+                self._changes.suppress(alarm, condition, now_us)

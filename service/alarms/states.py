@@ -1,6 +1,7 @@
 """The life of an alarm as a table: ISA-18.2 / IEC 62682, figure "alarm state transitions".
 
-The table is the only place that says what an event does to an alarm; `docs/alarms.md` shows it.
+The table is the only place that says what an event does to an alarm; `docs/operate/alarms.md` shows
+it.
 """
 
 from collections.abc import Iterator
@@ -49,14 +50,8 @@ class AlarmEvent(StrEnum):
 class Transition:
     """One row of the table.
 
-    Attributes
-    ----------
-    state, event, target
-        Which event leads from which state to which.
-    present : bool or None
-        Only while the condition is there (is not); None: either way.
-    latched : bool or None
-        Only for an alarm that is latched and has been raised (is not); None: either way.
+    - ``present``: only while the condition is there (is not); None: either way.
+    - ``latched``: only for an alarm that is latched and has been raised (is not); None: either way.
     """
 
     state: AlarmState
@@ -118,13 +113,6 @@ def next_state(
 ) -> AlarmState | None:
     """Where an event leads; None where it means nothing in that state.
 
-    Parameters
-    ----------
-    state, event
-        What happens to an alarm in which state.
-    present : bool
-        Whether the condition of the alarm is there.
-    latched : bool
-        Whether the alarm is a latched one that has been raised.
+    ``latched``: whether the alarm is a latched one that has been raised.
     """
     return _BY_CAUSE.get((state, event, present, latched))

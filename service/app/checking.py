@@ -2,6 +2,7 @@
 
 import socket
 
+from service.feature_folders import modules
 from service.site.configuration import SettingsError
 from service.site.settings import Settings
 
@@ -18,10 +19,9 @@ def environment_errors(settings: Settings) -> list[str]:
             tls_context(settings.path(tls.certificate), settings.path(tls.key))
         except SettingsError as error:
             errors += error.lines
-    from service.notifications.senders import check_senders
     from service.plant.publishers import check_extras
 
-    for check in (check_extras, check_senders):
+    for check in (check_extras, *(feature.check for _, feature in modules("settings"))):
         try:
             check(settings)
         except SettingsError as error:

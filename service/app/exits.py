@@ -8,7 +8,7 @@ from typing import Final, NoReturn
 
 from service.domain.errors import ServiceError, TemporaryError
 
-#: Something that a person must correct, and trouble that passes by itself (EX_TEMPFAIL).
+#: Something that a person must correct, and temporary trouble (EX_TEMPFAIL).
 STATUS_REFUSED: Final = 2
 STATUS_TEMPORARY: Final = os.EX_TEMPFAIL
 
@@ -19,9 +19,9 @@ _OURS = ("service", "adapters", "twin_core")
 def refusals() -> Iterator[None]:
     """End the process with one line per error where its user or time can help.
 
-    Our own kinds of ValueError and a store that cannot be used end with status 2. Trouble that
-    passes by itself ends with status 75: whoever started the process may start it again. Any
-    other exception is a fault of ours and keeps its traceback.
+    Our own kinds of ValueError and a store that cannot be used end with status 2. Temporary trouble
+    ends with status 75: the command may be started again. Any other exception is a fault of ours
+    and keeps its traceback.
     """
     try:
         yield
@@ -29,7 +29,8 @@ def refusals() -> Iterator[None]:
         passes = isinstance(error, TemporaryError) and error.passes
         refuse(str(error), status=STATUS_TEMPORARY if passes else STATUS_REFUSED)
     except ValueError as error:
-        if type(error).__module__.partition(".")[0] not in _OURS:
+        kinds = type(error).__mro__  # of other packages too, when they derive from ours
+        if all(kind.__module__.partition(".")[0] not in _OURS for kind in kinds):
             raise
         refuse(*getattr(error, "lines", (str(error),)))
 

@@ -5,10 +5,11 @@ import contextlib
 import socket
 from collections.abc import Callable
 
-from service.app.sides import listen, run_side
+from service.app.sides import address_of, listen, run_side
 from service.app.supervisor import supervise
 from service.domain.errors import TemporaryError
 from service.domain.sides import SideName
+from service.feature_folders import modules
 from service.plant.publishers import check_extras
 from service.service_manager import ServiceManager
 from service.site.settings import Settings
@@ -21,29 +22,12 @@ async def serve(
 ) -> None:
     """Run all sides of a service until ``stop`` is set.
 
-    Parameters
-    ----------
-    settings : Settings
-        The configuration.
-    announce : callable
-        Called with the address of the web side once all sides are ready.
-    stop : asyncio.Event
-        Set it to end the service cleanly.
-
-    Raises
-    ------
-    SettingsError
-        If the address of the web side cannot be used, or a notification.
-    TemporaryError
-        If another program did not leave the port in time.
-    SideEndedError
-        If a side cannot work; it has said why.
+    Raises `SettingsError` if the address of the web side cannot be used, or a section of a
+    feature. Raises
+    `TemporaryError` if another program did not leave the port in time. Raises `SideEndedError` if a
+    side cannot work; it has said why.
     """
-    check_extras(settings)
-    if settings.notifications:  # what they need takes a while to load
-        from service.notifications.senders import check_senders
-
-        check_senders(settings)
+    check_installed(settings)
     manager = ServiceManager()
     address = ""
 
@@ -57,9 +41,7 @@ async def serve(
             listener = await listen(
                 settings, stop, lambda what, why: manager.status(f"waits for {what}: {why}")
             )
-        scheme = "http" if settings.tls is None else "https"
-        host, port = settings.service.host, listener.getsockname()[1]
-        address = f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}/"
+        address = address_of(settings, listener)
         return listener
 
     with contextlib.suppress(StoppedError):
@@ -70,6 +52,16 @@ async def serve(
             on_ready=lambda: announce(address),
             stop=stop,
         )
+
+
+def check_installed(settings: Settings) -> None:
+    """Refuse a configuration that needs what is not installed.
+
+    Raises `SettingsError` if a publisher or a section of a feature cannot be used.
+    """
+    check_extras(settings)
+    for _, feature in modules("settings"):
+        feature.check(settings)
 
 
 async def serve_side(

@@ -1,27 +1,29 @@
 """The processes of a service, each of which does one side of its work.
 
-A side is started by the supervisor (`service.app.supervisor`), or by itself with
+A side is started by the supervisor (`service.app.supervisor`), or alone with
 ``bearing-twin serve --only SIDE`` where systemd or a container takes the supervisor's place.
 """
 
 import asyncio
 import contextlib
 import ctypes
-import gc
 import multiprocessing
 import os
 import signal
 import socket
 import ssl
+import stat
 import threading
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
+from pathlib import Path
 
 import structlog
 
 from service.app.exits import refusals
 from service.domain.sides import SideName
+from service.loading import loading
 from service.logs import configure_logging
 from service.plant.publishers import any_enabled
 from service.security.tls import tls_context
@@ -35,6 +37,7 @@ from service.web.listening import bind
 _PR_SET_NAME = 15
 #: Wall seconds for a clean end without a supervisor.
 _LAST_S = 15.0
+_LOOK_EVERY_S = 0.5
 
 
 def sides_of(settings: Settings) -> tuple[SideName, ...]:
@@ -52,23 +55,10 @@ async def run_side(
 ) -> None:
     """Run one side until ``stop`` is set.
 
-    Parameters
-    ----------
-    side : str
-        Which.
-    settings : Settings
-        The configuration of the service.
-    stop : asyncio.Event
-        Set it to end the side cleanly.
-    listener : socket.socket, optional
-        Bound socket of the web side; without it the web side binds its own.
-    on_ready : callable
-        Called when the side does its work.
+    Raises `ServiceError` or `SettingsError` if the side cannot start.
 
-    Raises
-    ------
-    ServiceError, SettingsError
-        If the side cannot start.
+    - ``listener``: bound socket of the web side; without it the web side binds its own.
+    - ``on_ready``: called when the side does its work.
     """
     manager = ServiceManager()
 
@@ -78,18 +68,21 @@ async def run_side(
 
     # Each side loads its own libraries only: the compiled twin belongs to the cell.
     if side == "cell":
-        from service.cell.start import run_cell
+        with loading():
+            from service.cell.start import run_cell
 
         await run_cell(settings, stop=stop, ready=ready, status=manager.status, alive=manager.alive)
         return
     async with background(manager.watch(lambda: True), "signs of life", stop):
         if side == "web":
-            from service.web.start import run_web
+            with loading():
+                from service.web.start import run_web
 
             listener = listener or await listen(settings, stop)
-            await run_web(settings, listener=listener, tls=_tls(settings), stop=stop, ready=ready)
+            await run_web(settings, listener=listener, tls=tls_of(settings), stop=stop, ready=ready)
         else:
-            from service.plant.start import run_plant
+            with loading():
+                from service.plant.start import run_plant
 
             await run_plant(settings, stop=stop, ready=ready)
 
@@ -101,14 +94,8 @@ async def listen(
 ) -> socket.socket:
     """Bind the address of the web side, when it is free.
 
-    Raises
-    ------
-    SettingsError
-        If the address cannot be used.
-    TemporaryError
-        If another program did not leave the port in time.
-    StoppedError
-        If the service is to stop.
+    Raises `SettingsError` if the address cannot be used; `TemporaryError` if another program did
+    not leave the port in time; `StoppedError` if the service is to stop.
     """
     service = settings.service
     return await Waiting(stop, waits).until(
@@ -116,11 +103,45 @@ async def listen(
     )
 
 
-def _tls(settings: Settings) -> ssl.SSLContext | None:
+def address_of(settings: Settings, listener: socket.socket) -> str:
+    """Give the address of the web side, as a browser takes it."""
+    scheme = "http" if settings.tls is None else "https"
+    host, port = settings.service.host, listener.getsockname()[1]
+    return f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}/"
+
+
+def tls_of(settings: Settings) -> ssl.SSLContext | None:
+    """Load the certificate of the web side, where it has one.
+
+    Raises `SettingsError` if certificate or key cannot be used.
+    """
     tls = settings.tls
     if tls is None:
         return None
     return tls_context(settings.path(tls.certificate), settings.path(tls.key))
+
+
+def begin_process(
+    work: Callable[..., None], arguments: tuple[object, ...], listener: socket.socket | None
+) -> None:
+    """Begin the process of a side, made by a fork of the supervisor, and do its work.
+
+    Signals and sockets of the supervisor are not those of the side: a port that the supervisor
+    gives up must be free.
+    """
+    signal.set_wakeup_fd(-1)
+    for name in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(name, signal.SIG_DFL)
+    kept = -1 if listener is None else listener.fileno()
+    nothing = os.open(os.devnull, os.O_RDWR | os.O_CLOEXEC)
+    for file in Path("/proc/self/fd").iterdir():
+        with contextlib.suppress(OSError):  # the one of this very look
+            number = int(file.name)
+            if number not in (0, 1, 2, kept) and stat.S_ISSOCK(os.fstat(number).st_mode):
+                # Not closed: objects that still know the number must not meet another file.
+                os.dup2(nothing, number, inheritable=False)
+    signal.pthread_sigmask(signal.SIG_SETMASK, ())
+    work(*arguments)
 
 
 def side_process(
@@ -150,13 +171,12 @@ async def _until_stopped(
     side: SideName, settings: Settings, listener: socket.socket | None
 ) -> None:
     stop = stop_on_signals((signal.SIGTERM,))
-    gc.freeze()
     await run_side(side, settings, stop, listener)
     await leave_tasks_behind()
 
 
 def key_check_process(settings: Settings) -> None:
-    """Be the process that refuses a service which nobody has a key of, before it is started.
+    """Be the process that refuses a service without a valid key before it is started.
 
     What else is wrong with the store the cell reports.
     """
@@ -180,17 +200,14 @@ def _name(side: SideName) -> None:
 
 
 def _end_with_supervisor() -> None:
-    """End as if asked to when the supervisor has died, so that a new service finds all free.
-
-    The kernel's signal for the death of a parent does not do: the parent of this process is the
-    fork server, which lives as long as any process that it made.
-    """
+    """End as if asked to when the supervisor has died, so that a new service finds all free."""
     supervisor = multiprocessing.parent_process()
     if supervisor is None:
         return
 
     def follow() -> None:
-        supervisor.join()
+        while os.getppid() == supervisor.pid:
+            time.sleep(_LOOK_EVERY_S)
         os.kill(os.getpid(), signal.SIGTERM)
         time.sleep(_LAST_S)
         os._exit(1)

@@ -1,9 +1,9 @@
 """Starts the sides of a service as processes, watches them, and stops them in their order.
 
 A side that dies, or that shows no sign of life any more, is started again alone; the others go on.
-The supervisor itself does no work and loads no library that could fail: it holds the socket that
-the web side listens on, so that callers of a web side that starts again wait instead of being
-refused.
+The supervisor itself does no work. It has loaded what the sides share and makes each of them by a
+fork, so that they share its memory. It holds the socket that the web side listens on, so that
+callers of a web side that starts again wait instead of being refused.
 
 Each side reports to the supervisor as a service reports to systemd (`service.service_manager`):
 ready, its status, signs of life. The supervisor reports to the real service manager for all.
@@ -11,21 +11,23 @@ ready, its status, signs of life. The supervisor reports to the real service man
 
 import asyncio
 import contextlib
-import multiprocessing
 import os
 import socket
 import tempfile
 import time
 from collections.abc import AsyncIterator, Callable, Coroutine, Iterator, Sequence
 from functools import partial
-from multiprocessing.context import ForkServerContext, ForkServerProcess
+from multiprocessing.context import ForkProcess
 from pathlib import Path
 from typing import Any
 
 import structlog
 
 from service.app.exits import STATUS_REFUSED, STATUS_TEMPORARY
+from service.app.forking import ended, preload, start
+from service.app.hanging import HUNG_S, SilentTime, look_at
 from service.app.sides import key_check_process, side_process, sides_of
+from service.domain.errors import BearingTwinError
 from service.domain.sides import SideName
 from service.security.loopback import is_loopback
 from service.service_manager import RELOAD, ServiceManager
@@ -33,7 +35,8 @@ from service.site.configuration import SettingsError
 from service.site.examination import load_site
 from service.site.settings import Settings
 
-#: Wall seconds without a sign of life after which a side hangs and is killed.
+#: Wall seconds without a sign of life after which a side is killed, however busy the machine is;
+#: one that hangs is known earlier (`service.app.hanging`).
 SILENT_S = 30.0
 #: A side that dies before it was ready is started again after so many wall seconds, at most.
 RETRY_MOST_S = 10.0
@@ -43,23 +46,17 @@ STOP_S: dict[SideName, float] = {"cell": 10.0, "web": 4.0, "plant": 4.0}
 _RETRY_FIRST_S = 0.2
 #: A store that does not answer within these wall seconds is asked for keys by the web side.
 _KEY_CHECK_S = 10.0
-_LOOK_EVERY_S = 1.0
-#: A supervisor that was late itself, on a machine that was suspended, judges nobody.
-_LATE_S = 5.0
-#: What the processes of all sides share: loaded once, before the first of them begins.
-PRELOADED = ["service.app.preloaded"]
+_LOOK_EVERY_S = 0.5
+#: A supervisor that is late itself by so many wall seconds is on a busy machine.
+_LATE_S = 1.0
+#: And after so many it was suspended, with all sides: their silence begins again.
+_SUSPENDED_S = 5.0
 
 _log = structlog.get_logger(__name__)
 
 
-class SideEndedError(Exception):
-    """A side ended with a status that ends the service; its own line says why.
-
-    Attributes
-    ----------
-    status : int
-        Exit status of the service.
-    """
+class SideEndedError(BearingTwinError):
+    """A side ended with a status that ends the service; its own line says why."""
 
     def __init__(self, side: SideName, status: int) -> None:
         super().__init__(f"the {side} ended with status {status}")
@@ -69,34 +66,15 @@ class SideEndedError(Exception):
 class Side:
     """One side of the service: its process, and what it reports.
 
-    Parameters
-    ----------
-    name : str
-        Which side.
-    settings : Settings
-        The configuration, as it was when the service started.
-    context : multiprocessing.context.ForkServerContext
-        Makes its processes.
-    folder : Path
-        Of the socket that it reports to.
-    listener : asyncio.Future of socket.socket, optional
-        Gives the bound socket of the web side, when there is one.
-    work : callable
-        What its process does, with the arguments of `service.app.sides.side_process`.
-    silent_s : float
-        Wall seconds without a sign of life after which the side hangs.
-
-    Attributes
-    ----------
-    is_ready : asyncio.Event
-        Set while it is ready.
+    - ``listener``: gives the bound socket of the web side, when there is one.
+    - ``work``: what its process does, with the arguments of `service.app.sides.side_process`.
+    - ``silent_s``: wall seconds without a sign of life after which the side hangs.
     """
 
     def __init__(
         self,
         name: SideName,
         settings: Settings,
-        context: ForkServerContext,
         folder: Path,
         listener: "asyncio.Future[socket.socket] | None" = None,
         work: Callable[..., None] = side_process,
@@ -109,29 +87,19 @@ class Side:
         self._settings = settings
         self._before: Settings | None = None  # until the side has started with the present ones
         self._changing = False
-        self._context = context
         self._listener = listener
         self._address = str(folder / name)
-        self._process: ForkServerProcess | None = None
+        self._process: ForkProcess | None = None
         self._stopping = asyncio.Event()
         self._gone = asyncio.Event()
         self._gone.set()
-        self._signed_s = time.monotonic()
+        self._silence = SilentTime(time.monotonic())
 
     async def run(self, on_report: Callable[[SideName, str], None]) -> None:
         """Keep the side running, until it is stopped.
 
-        Parameters
-        ----------
-        on_report : callable
-            Gets what the side reports.
-
-        Raises
-        ------
-        SideEndedError
-            If it ends with a status that a new start does not cure.
-        ServiceError
-            If the web side's address cannot be listened on.
+        Raises `SideEndedError` if it ends with a status that a new start does not cure;
+        `ServiceError` if the web side's address cannot be listened on.
         """
         listener = None if self._listener is None else await asyncio.shield(self._listener)
         retry_s = 0.0
@@ -188,29 +156,37 @@ class Side:
         if self._process is not None and not self._gone.is_set():
             self._process.kill()
 
-    def silent_for_s(self) -> float:
-        """Wall seconds since the last sign of life."""
-        return time.monotonic() - self._signed_s
+    def kill_if_it_hangs(self, machine_is_busy: bool) -> None:
+        """Look at the process, and end it when it hangs; it is then started again."""
+        if self._process is None or self._gone.is_set() or not self.is_ready.is_set():
+            return
+        now_s = time.monotonic()
+        look = look_at(self._process.pid or 0)
+        if machine_is_busy:
+            self._silence.excuse()
+        if self._silence.is_hanging(look, now_s, self.silent_limit_s):
+            silent_s = round(self._silence.lasts_s(now_s), 1)
+            _log.error("side_hangs", side=self.name, silent_s=silent_s)
+            self.kill()
+            self.listen_from_now()
+
+    def listen_from_now(self) -> None:
+        """Let its silence begin now: what it said before may not have been heard."""
+        self._silence = SilentTime(time.monotonic())
 
     async def _run_once(self, listener: socket.socket | None) -> int:
         environment = {
             "NOTIFY_SOCKET": self._address,
-            "WATCHDOG_USEC": str(round(self.silent_limit_s * 1e6)),
+            "WATCHDOG_USEC": str(round(min(HUNG_S, self.silent_limit_s) * 1e6)),
         }
-        process = self._context.Process(
-            target=self._work,
-            args=(self.name, self._settings, environment, listener),
-            name=f"bearing-twin {self.name}",
-        )
-        self._signed_s = time.monotonic()
+        preload()
+        self.listen_from_now()
         self._gone.clear()
         try:
-            # In a thread: the first start waits until what the sides share is loaded.
-            await asyncio.to_thread(process.start)
-            self._process = process
-            if self._stopping.is_set():
-                self.terminate()
-            await _ended(process)
+            process = self._process = start(
+                self._work, (self.name, self._settings, environment, listener), listener
+            )
+            await ended(process)
             process.join()
         finally:
             self._gone.set()
@@ -225,7 +201,7 @@ class Side:
             with contextlib.suppress(BlockingIOError):
                 while True:
                     report = inbox.recv(4096).decode(errors="replace")
-                    self._signed_s = time.monotonic()
+                    self.listen_from_now()
                     if report == "READY=1":
                         self.is_ready.set()
                         self._before = None
@@ -250,40 +226,24 @@ async def supervise(
 ) -> None:
     """Run all sides of a service until ``stop`` is set, then end them: callers first, cell last.
 
-    Parameters
-    ----------
-    settings : Settings
-        The configuration.
-    listen : callable
-        Gives the bound socket for the web side, which alone waits for it; is called with the event
-        that the cell is ready.
-    manager : ServiceManager
-        Hears of the service as a whole.
-    on_ready : callable
-        Called once, when every side is ready.
-    stop : asyncio.Event
-        Set it to end the service cleanly.
+    Raises `SideEndedError` if a side ends with a status that a new start does not cure;
+    `ServiceError` if the web side's address cannot be listened on.
 
-    Raises
-    ------
-    SideEndedError
-        If a side ends with a status that a new start does not cure.
-    ServiceError
-        If the web side's address cannot be listened on.
+    - ``listen``: gives the bound socket for the web side, which alone waits for it; is called with
+      the event that the cell is ready.
+    - ``manager``: hears of the service as a whole.
+    - ``on_ready``: called once, when every side is ready.
     """
-    context = multiprocessing.get_context("forkserver")
-    extras = ["asyncua"] if settings.opcua.enabled else []
-    context.set_forkserver_preload([*extras, *PRELOADED])
     # Many small matrices: threads would only wait for each other. Also for those to come.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if not is_loopback(settings.service.host):
-        await _refuse_without_key(settings, context)
+        await _refuse_without_key(settings)
     with tempfile.TemporaryDirectory(prefix="bearing-twin-") as folder:
         cell, web, *plant = sides_of(settings)
-        sides = [Side(cell, settings, context, Path(folder))]
+        sides = [Side(cell, settings, Path(folder))]
         listening = asyncio.ensure_future(listen(sides[0].is_ready))
-        sides.append(Side(web, settings, context, Path(folder), listening))
-        sides += [Side(name, settings, context, Path(folder)) for name in plant]
+        sides.append(Side(web, settings, Path(folder), listening))
+        sides += [Side(name, settings, Path(folder)) for name in plant]
         try:
             await run_sides(
                 sides,
@@ -345,7 +305,7 @@ async def run_sides(
 async def _read_again(settings: Settings, sides: Sequence[Side]) -> None:
     """Start all sides again with what the configuration file holds now.
 
-    Where the service listens and keeps its data it was told when it started.
+    Where the service listens and keeps its data is fixed at its start.
     """
     try:
         fresh, _ = await asyncio.to_thread(load_site, settings.file)
@@ -384,45 +344,31 @@ async def _all_ready(sides: Sequence[Side], on_ready: Callable[[], None]) -> Non
 
 
 async def _watch(sides: Sequence[Side]) -> None:
-    """Kill what shows no sign of life; it is then started again."""
+    """Kill what hangs; it is then started again."""
     looked_s = time.monotonic()
     while True:
         await asyncio.sleep(_LOOK_EVERY_S)
         now_s = time.monotonic()
-        late, looked_s = now_s - looked_s > _LATE_S, now_s
+        late_s, looked_s = now_s - looked_s - _LOOK_EVERY_S, now_s
         for side in sides:
-            if not late and side.is_ready.is_set() and side.silent_for_s() > side.silent_limit_s:
-                _log.error("side_hangs", side=side.name, silent_s=round(side.silent_for_s()))
-                side.kill()
+            if late_s > _SUSPENDED_S:
+                side.listen_from_now()
+            else:
+                side.kill_if_it_hangs(machine_is_busy=late_s > _LATE_S)
 
 
-async def _refuse_without_key(settings: Settings, context: ForkServerContext) -> None:
+async def _refuse_without_key(settings: Settings) -> None:
     """Refuse at once what the web side would refuse only after the cell is ready.
 
-    Raises
-    ------
-    SideEndedError
-        If no key is valid.
+    Raises `SideEndedError` if no key is valid.
     """
-    process = context.Process(target=key_check_process, args=(settings,), name="bearing-twin keys")
-    await asyncio.to_thread(process.start)
+    process = start(key_check_process, (settings,), None)
     try:
         async with asyncio.timeout(_KEY_CHECK_S):
-            await _ended(process)
+            await ended(process)
     except TimeoutError:
         process.kill()
-        await _ended(process)
+        await ended(process)
     process.join()
     if process.exitcode == STATUS_REFUSED:
         raise SideEndedError("web", STATUS_REFUSED)
-
-
-async def _ended(process: ForkServerProcess) -> None:
-    """Wait for the end of a process."""
-    loop = asyncio.get_running_loop()
-    ended = asyncio.Event()
-    loop.add_reader(process.sentinel, ended.set)
-    try:
-        await ended.wait()
-    finally:
-        loop.remove_reader(process.sentinel)

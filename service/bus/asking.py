@@ -3,8 +3,7 @@
 import asyncio
 import time
 from collections.abc import Callable
-from functools import cache
-from typing import Any, get_args
+from contextvars import ContextVar
 
 import msgspec
 
@@ -12,8 +11,13 @@ from service.bus.errors import load_error
 from service.bus.messages import Answer, AnswerT, Command, Request, encode
 from service.domain.errors import CellUnavailableError
 
+#: Role of the caller for whom a question is asked; empty where a process asks for itself.
+caller_role: ContextVar[str] = ContextVar("caller_role", default="")
 #: Questions that wait for their answer.
 MOST_WAITING = 512
+
+on_behalf_of: ContextVar[str] = ContextVar("on_behalf_of", default="")
+"""Whose share of the cell's time a question takes: a user or program; empty: the process itself."""
 
 
 class Asking:
@@ -39,7 +43,8 @@ class Asking:
         self._number += 1
         number = self._number
         name = type(command).__name__
-        request = Request(number, time.monotonic() + patience_s, name, msgspec.Raw(encode(command)))
+        deadline_s, body = time.monotonic() + patience_s, msgspec.Raw(encode(command))
+        request = Request(number, deadline_s, name, body, caller_role.get(), on_behalf_of.get())
         waiting = self._waiting[number] = asyncio.get_running_loop().create_future()
         try:
             self._send(encode(request), patience_s)
@@ -51,7 +56,7 @@ class Asking:
             self._waiting.pop(number, None)
         if answer.error:
             raise load_error(answer.error, bytes(answer.body))
-        found: AnswerT = _decoder(type(command)).decode(answer.body)
+        found: AnswerT = command.result.decode(answer.body)
         return found
 
     def take(self, answer: bytes) -> None:
@@ -69,10 +74,3 @@ class Asking:
         for waiting in self._waiting.values():
             if not waiting.done():
                 waiting.set_exception(CellUnavailableError(why))
-
-
-@cache
-def _decoder(command: type[Command[Any]]) -> "msgspec.msgpack.Decoder[Any]":
-    (base,) = (one for one in command.__orig_bases__ if get_args(one))  # type: ignore[attr-defined]
-    (kind,) = get_args(base)
-    return msgspec.msgpack.Decoder(kind)

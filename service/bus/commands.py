@@ -1,15 +1,22 @@
-"""Everything that the cell can be asked, and what it answers."""
+"""The interfaces of the cell's parts, and the messages that they speak in.
 
-from array import array
-from collections.abc import Iterable, Sequence
-from typing import Literal
+`service.bus.calls` makes the commands of it. As in all messages a parameter more at the end, with a
+default, can be read by an older process and the other way round.
+"""
+
+from collections.abc import Sequence
+from typing import Any, Final, Literal, Protocol
 
 import msgspec
 
-from adapters.samples import Sample
-from service.bus.messages import Command
+from service.bus.messages import WHILE_S, WRITTEN_S, Call
+from service.bus.pushed_samples import PushedSamples
+from service.documents.assets import GreaseRenewed
+from service.documents.identification import JobDocument
 from service.documents.interfaces import DocumentKind
-from service.notifications.states import NotificationState
+from service.documents.models import ModelDocument
+from service.domain.requests import IdentificationRequest
+from service.domain.roles import ENGINEER, OPERATOR, PUSH, Roles
 from service.store import Alarm, AuditEntry
 
 AlarmAction = Literal[
@@ -21,6 +28,8 @@ AlarmAction = Literal[
     "take_out_of_service",
     "unshelve",
 ]
+_OF_ENGINEERS: Final = ("take_out_of_service", "return_to_service")
+_GREASE_S: Final = 10.0
 
 
 # ---------------------------------------------------------------------------- assets
@@ -32,34 +41,37 @@ class Wanted(msgspec.Struct, frozen=True, array_like=True):
     tag: bytes = b""
 
 
-class Document(msgspec.Struct, frozen=True, array_like=True):
+class PackedDocument(msgspec.Struct, frozen=True, array_like=True):
     """A document as JSON text under its tag; no text where the known one is still right."""
 
     tag: bytes
     text: bytes | None
 
 
-class GetDocuments(Command[list[Document]], frozen=True, array_like=True):
-    """Documents in the order in which they are wanted."""
+class Assets(Protocol):
+    """The assets that the cell follows."""
 
-    wanted: list[Wanted]
+    @Call()
+    async def names(self) -> dict[str, int]:
+        """Give the ids of all, each with a number that is another one when its table changes."""
 
+    @Call()
+    async def documents(self, wanted: list[Wanted]) -> list[PackedDocument]:
+        """Give documents in the order in which they are wanted."""
 
-class AssetNames(Command[dict[str, int]], frozen=True, array_like=True):
-    """The ids of all assets, each with a number that is another one when its table has changed."""
+    @Call(ENGINEER, patience_s=WHILE_S)
+    async def apply(self) -> dict[str, str]:
+        """Take up the assets that the store holds now; gives which cannot be followed, and why."""
 
+    @Call(ENGINEER, patience_s=_GREASE_S)
+    async def renew_grease(
+        self, asset_id: str, who: str, comment: str, audit: AuditEntry | None = None
+    ) -> GreaseRenewed:
+        """Count the revolutions since the grease was fresh from zero again.
 
-class ApplyAssets(Command[dict[str, str]], frozen=True, array_like=True):
-    """Take up the assets that the store holds as they are now; answers which cannot, and why."""
-
-
-class RenewGrease(Command[bytes], frozen=True, array_like=True):
-    """Count the revolutions of an asset's grease from zero again; answers as JSON text."""
-
-    asset: str
-    who: str
-    comment: str
-    audit: AuditEntry | None = None
+        Here as elsewhere `audit` is written together with the change that it is about. Raises
+        `NotReadyError` while the twin has no state yet.
+        """
 
 
 # ---------------------------------------------------------------------------- live messages
@@ -90,13 +102,6 @@ class StreamPart(msgspec.Struct, frozen=True, array_like=True):
     messages: list[StreamMessage]
 
 
-class StreamAfter(Command[StreamPart], frozen=True, array_like=True):
-    """The first part of the live messages after a number of an epoch."""
-
-    epoch: str
-    number: int
-
-
 class StreamMade(msgspec.Struct, frozen=True, array_like=True):
     """The epoch of the cell, and the number after which there are all messages of some assets."""
 
@@ -104,182 +109,167 @@ class StreamMade(msgspec.Struct, frozen=True, array_like=True):
     after: int
 
 
-class FollowStream(Command[StreamMade], frozen=True, array_like=True):
-    """Have the live messages of some assets made for a while, or those of all."""
+class LiveStream(Protocol):
+    """The live messages of one cell."""
 
-    assets: list[str] | None
+    @Call()
+    async def after(self, epoch: str, number: int) -> StreamPart:
+        """Give the first part of the live messages after a number of an epoch."""
+
+    @Call()
+    async def follow(self, assets: list[str] | None) -> StreamMade:
+        """Make the live messages of some assets for a while, or those of all."""
 
 
 # ---------------------------------------------------------------------------- pushes
-class Samples(msgspec.Struct, frozen=True, array_like=True):
-    """Samples column by column, each as the bytes of an array.
+class Taken(msgspec.Struct, frozen=True, array_like=True):
+    """What became of pushed samples.
 
     Attributes
     ----------
-    channels
-        Names that `channel` counts from 0.
-    channel, time_us, value, quality
-        One entry for each sample: unsigned short, int64, float64 and byte.
+    stored, duplicates
+        How many are new on the disk, and how many were there already.
+    kept_from_us
+        From when on the store keeps any.
+    left
+        Assets of which nothing was taken: they are not followed here now.
     """
-
-    channels: list[str]
-    channel: bytes
-    time_us: bytes
-    value: bytes
-    quality: bytes
-
-    @classmethod
-    def pack(cls, samples: Sequence[Sample]) -> "Samples":
-        """Write samples of one asset."""
-        names = {name: number for number, name in enumerate({one.channel for one in samples})}
-        return cls(
-            list(names),
-            array("H", [names[one.channel] for one in samples]).tobytes(),
-            array("q", [one.time_us for one in samples]).tobytes(),
-            array("d", [one.value for one in samples]).tobytes(),
-            bytes(int(one.quality) for one in samples),
-        )
-
-    def __len__(self) -> int:
-        """How many there are."""
-        return len(self.quality)
-
-    def unpack(self, asset: str, received_us: int, begin: int, end: int) -> list[Sample]:
-        """Read some of them again."""
-        columns: Iterable[tuple[int, int, float, int]] = zip(
-            array("H", self.channel[2 * begin : 2 * end]),
-            array("q", self.time_us[8 * begin : 8 * end]),
-            array("d", self.value[8 * begin : 8 * end]),
-            self.quality[begin:end],
-            strict=True,
-        )
-        return [
-            Sample(asset, self.channels[channel], time_us, value, quality, received_us)
-            for channel, time_us, value, quality in columns
-        ]
-
-
-class Taken(msgspec.Struct, frozen=True, array_like=True):
-    """What became of pushed samples, and from when on the store keeps any."""
 
     stored: int
     duplicates: int
     kept_from_us: int
+    left: list[str] = []
 
 
-class TakeSamples(Command[Taken], frozen=True, array_like=True):
-    """Take judged samples of an asset in; answered when they are on the disk."""
+class Pushes(Protocol):
+    """The way of pushed samples into the cell."""
 
-    asset: str
-    received_us: int
-    patience_s: float
-    samples: Samples
-    too_old: Samples
+    @Call(PUSH)
+    async def take(
+        self,
+        received_us: int,
+        patience_s: float,
+        samples: PushedSamples,
+        too_old: PushedSamples,
+    ) -> Taken:
+        """Accept judged samples, and those that are too old; answered when they are on the disk."""
 
 
 # ---------------------------------------------------------------------------- alarms
-class ListAlarms(Command[list[Alarm]], frozen=True, array_like=True):
-    """Alarms that are not over, or those that are normal."""
+class AlarmsPart(msgspec.Struct, frozen=True, array_like=True):
+    """A part of a list of alarms.
 
-    normal: bool = False
-
-
-class FollowedAlarms(msgspec.Struct, frozen=True, array_like=True):
-    """Alarms of a cell, and which of its sets of assets they belong to (`State.followed`)."""
-
-    alarms: list[Alarm]
-    followed: int
-
-
-class ListFollowedAlarms(Command[FollowedAlarms], frozen=True, array_like=True):
-    """As `ListAlarms`, of one cell among several."""
-
-    normal: bool = False
-
-
-class ActOnAlarm(Command[Alarm], frozen=True, array_like=True):
-    """Do something to an alarm; answered when that is on the disk.
-
-    Here as in other commands, `audit` is written together with the change that it tells of.
+    Attributes
+    ----------
+    alarms
+        Those of some assets, in no order.
+    followed
+        Which of the cell's sets of assets they belong to (`State.followed`).
+    next
+        Where the next part begins; empty with the last one.
     """
 
-    alarm: str
-    action: AlarmAction
-    who: str
-    comment: str
-    duration_s: float = 0.0
-    audit: AuditEntry | None = None
+    alarms: list[Alarm]
+    followed: int = 0
+    next: str = ""
 
 
-class AcknowledgedAlarms(msgspec.Struct, frozen=True, array_like=True):
+class AcknowledgeResult(msgspec.Struct, frozen=True, array_like=True):
     """Alarms that were acknowledged, and the ids of others with why they could not be."""
 
     alarms: list[Alarm]
     failed: list[tuple[str, str]]
 
 
-class AcknowledgeAlarms(Command[AcknowledgedAlarms], frozen=True, array_like=True):
-    """Acknowledge several alarms."""
-
-    ids: list[str]
-    who: str
-    comment: str
-    audit: AuditEntry | None = None
+def _may_act(act: Any) -> Roles:
+    return ENGINEER if act.action in _OF_ENGINEERS else OPERATOR
 
 
-class GetNotifications(Command[list[NotificationState]], frozen=True, array_like=True):
-    """How each notification is."""
+class Alarms(Protocol):
+    """The alarm book of the cell; what is done is on the disk when a method returns."""
 
+    @Call(shared=True)
+    async def listed(
+        self, normal: bool = False, asset: str | None = None, after: str = ""
+    ) -> AlarmsPart:
+        """Give open alarms, or normal ones, of one asset or of all, in parts.
 
-class TestNotification(Command[tuple[bool, str]], frozen=True, array_like=True):
-    """Send a test message; answers whether it was taken, and why not or by whom not."""
+        With `after` those of the assets whose ids come after that one.
+        """
 
-    notification: str
-    who: str
-    audit: AuditEntry | None = None
+    @Call(_may_act, patience_s=WRITTEN_S)
+    async def act(
+        self,
+        alarm: str,
+        action: AlarmAction,
+        who: str,
+        comment: str,
+        duration_s: float = 0.0,
+        audit: AuditEntry | None = None,
+    ) -> Alarm:
+        """Do something to an alarm.
 
+        Raises
+        ------
+        UnknownAlarmError
+            If there is no alarm of this id.
+        NotAllowedError
+            If the alarm's state does not allow it.
+        NotKeptError
+            If neither the store nor the disk takes the change.
+        """
 
-class Flush(Command[bool], frozen=True, array_like=True):
-    """Wait until the store has every change of an alarm, for at most so many wall seconds."""
+    @Call(OPERATOR, patience_s=WRITTEN_S)
+    async def acknowledge(
+        self, ids: list[str], who: str, comment: str, audit: AuditEntry | None = None
+    ) -> AcknowledgeResult:
+        """Acknowledge several alarms."""
 
-    patience_s: float
+    @Call(merge=all)
+    async def flush(self, patience_s: float) -> bool:
+        """Wait until the store has every change of an alarm, for at most so many wall seconds."""
 
 
 # ---------------------------------------------------------------------------- jobs
-class CreateJob(Command[tuple[bytes, bool]], frozen=True, array_like=True):
-    """Queue an identification; the request and the job that is answered are JSON text."""
+class Identifications(Protocol):
+    """The jobs and models of the cell; see `service.jobs.manager.IdentificationJobs`."""
 
-    asset: str
-    request: bytes
-    idempotency_key: str | None
-    who: str
-    audit: AuditEntry | None = None
+    @Call(ENGINEER, patience_s=WHILE_S, finishes=True)
+    async def create(
+        self,
+        asset_id: str,
+        request: IdentificationRequest,
+        idempotency_key: str | None,
+        who: str,
+        audit: AuditEntry | None = None,
+    ) -> tuple[JobDocument, bool]:
+        """Queue a job; gives it and whether it is new."""
 
+    @Call(patience_s=WRITTEN_S, shared=True)
+    async def job(self, asset_id: str, job_id: str) -> JobDocument | None:
+        """Give one job of an asset."""
 
-class GetJobs(Command[bytes], frozen=True, array_like=True):
-    """One job of an asset, or all, as JSON text; null where there is no such job."""
+    @Call(patience_s=WRITTEN_S, shared=True)
+    async def jobs(self, asset_id: str) -> Sequence[JobDocument]:
+        """Give all jobs of an asset, newest first."""
 
-    asset: str
-    job: str | None = None
+    @Call(ENGINEER, patience_s=WHILE_S, finishes=True)
+    async def cancel(
+        self, asset_id: str, job_id: str, audit: AuditEntry | None = None
+    ) -> JobDocument | None:
+        """Stop a job; gives it as it is then."""
 
-
-class CancelJob(Command[bytes], frozen=True, array_like=True):
-    """Stop a job; answers it as JSON text, null where there is no such job."""
-
-    asset: str
-    job: str
-    audit: AuditEntry | None = None
-
-
-class ActivateModel(Command[bytes], frozen=True, array_like=True):
-    """Make a model version the active one; answers it as JSON text."""
-
-    asset: str
-    version: int
-    who: str
-    comment: str | None
-    force: bool
-    audit: AuditEntry | None = None
+    @Call(ENGINEER, patience_s=WHILE_S, finishes=True)
+    async def activate(
+        self,
+        asset_id: str,
+        version: int,
+        who: str,
+        comment: str | None,
+        force: bool,
+        audit: AuditEntry | None = None,
+    ) -> ModelDocument:
+        """Make a model version the active one."""
 
 
 # ---------------------------------------------------------------------------- health
@@ -291,17 +281,26 @@ class HealthCheck(msgspec.Struct, frozen=True, array_like=True):
     detail: str
 
 
-class CheckHealth(Command[list[HealthCheck]], frozen=True, array_like=True):
-    """All checks of the cell."""
+class Present(msgspec.Struct, frozen=True, array_like=True):
+    """What a process says of itself every few seconds.
 
-
-class GetMetrics(Command[bytes], frozen=True, array_like=True):
-    """The metrics of the cell, as Prometheus reads them."""
-
-
-class Present(Command[bool], frozen=True, array_like=True):
-    """Say that a process is there, with its metrics; said again every few seconds."""
+    Attributes
+    ----------
+    metrics
+        Those that it does not show itself.
+    publishers
+        What is wrong with each of its publishers; empty where one hands everything on.
+    """
 
     process: Literal["web", "plant"]
     resident_bytes: int
     metrics: bytes = b""
+    publishers: dict[str, str] = msgspec.field(default_factory=dict)
+
+
+class Presence(Protocol):
+    """The processes that are there."""
+
+    @Call(merge=all)
+    async def present(self, process: Present) -> bool:
+        """Note that a process is there, and how."""

@@ -1,4 +1,4 @@
-"""Which assets a fleet has, whoever follows them: those of the file and of the store."""
+"""Which assets a fleet has, in any cell: those of the file and of the store."""
 
 import asyncio
 import contextlib
@@ -30,6 +30,7 @@ class Directory:
         self._ids = dict.fromkeys(asset.id for asset in settings.assets)
         self._of_file = frozenset(self._ids)
         self._revision = 0
+        self._incarnation = ""
 
     def ids(self) -> Collection[str]:
         """Ids of all assets as they were known at the last look: first those of the file."""
@@ -43,6 +44,11 @@ class Directory:
         StoreUnavailableError
             If the store does not answer.
         """
+        incarnation = self._store.identity.incarnation()
+        if incarnation != self._incarnation:
+            # Of another store: its revisions are no continuation of those that are known.
+            self._incarnation, self._revision = incarnation, 0
+            self._ids = dict.fromkeys(name for name in self._ids if name in self._of_file)
         changed = self._store.assets.changed_since(self._revision)
         if changed:
             ids = dict(self._ids)

@@ -4,20 +4,25 @@ import asyncio
 import time
 import traceback
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import msgspec
 import structlog
 
 from service.bus.errors import dump_error
-from service.bus.interface import Handler
-from service.bus.messages import Answer, Command, Request, encode
-from service.domain.errors import CellUnavailableError
+from service.bus.interface import Handlers
+from service.bus.loop_share import LoopShare
+from service.bus.messages import Answer, Command, Request, decoder_of, encode
+from service.domain.errors import CellUnavailableError, RoleRefusedError
+from service.pauses import MeasuredCoroutine, next_turn
 
 #: Commands under way: of one caller, and of all together.
 AT_ONCE_EACH = 128
 AT_ONCE = 256
+#: Commands of one user or program that wait for their turn in the loop.
+WAITING_EACH = 48
 
 _log = structlog.get_logger(__name__)
 
@@ -31,13 +36,13 @@ class Dispatcher:
         What answers which command.
     """
 
-    def __init__(self, handlers: Mapping[type[Command[Any]], Handler]) -> None:
+    def __init__(self, handlers: Handlers) -> None:
         self._handlers = {
-            kind.__name__: (msgspec.msgpack.Decoder(kind), handler)
-            for kind, handler in handlers.items()
+            kind.__name__: (decoder_of(kind), handler) for kind, handler in handlers.items()
         }
         self._request = msgspec.msgpack.Decoder(Request)
         self._running: Counter[bytes] = Counter()
+        self._share = LoopShare()
         self._tasks: set[asyncio.Task[None]] = set()
         self._unreadable = 0
 
@@ -76,8 +81,16 @@ class Dispatcher:
         if self._running[caller] >= AT_ONCE_EACH or self._running.total() >= AT_ONCE:
             send(_failed(asked.number, CellUnavailableError("the cell has enough to do")))
             return
+        account = f"{caller.hex()} {asked.caller}"
+        if asked.caller and self._share.waiting(account) >= WAITING_EACH:
+            text = "the cell has as much to do for this caller as it may"
+            send(_failed(asked.number, CellUnavailableError(text)))
+            return
         self._running[caller] += 1
-        task = asyncio.create_task(self._answer(caller, asked, left_s, send))
+        answering = self._answer(caller, account, asked, left_s, send)
+        task = asyncio.create_task(
+            MeasuredCoroutine(answering, partial(self._share.charge, account))
+        )
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
@@ -88,16 +101,22 @@ class Dispatcher:
         await asyncio.gather(*self._tasks, return_exceptions=True)
 
     async def _answer(
-        self, caller: bytes, asked: Request, left_s: float, send: Callable[[bytes], None]
+        self,
+        caller: bytes,
+        account: str,
+        asked: Request,
+        left_s: float,
+        send: Callable[[bytes], None],
     ) -> None:
+        next_turn.set(partial(self._share.turn, account))
         try:
-            send(await self._work(asked, left_s))
+            send(await self._work(account, asked, left_s))
         finally:
             self._running[caller] -= 1
             if not self._running[caller]:
                 del self._running[caller]
 
-    async def _work(self, asked: Request, left_s: float) -> bytes:
+    async def _work(self, account: str, asked: Request, left_s: float) -> bytes:
         found = self._handlers.get(asked.name)
         if found is None:
             return _failed(
@@ -105,8 +124,13 @@ class Dispatcher:
             )
         decoder, handle = found
         try:
+            command: Command[Any] = decoder.decode(asked.body)
+            if not command.may_be_asked_for(asked.role):
+                _log.warning("command_refused", command=asked.name, role=asked.role)
+                raise RoleRefusedError(f"{asked.name}: not for role {asked.role or 'none'!r}")
             async with asyncio.timeout(left_s):
-                result = await handle(decoder.decode(asked.body))
+                await self._share.turn(account)
+                result = await handle(command)
             return encode(Answer(asked.number, "", msgspec.Raw(encode(result))))
         except TimeoutError:
             return _failed(asked.number, CellUnavailableError("not done in time"))

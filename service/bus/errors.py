@@ -11,6 +11,7 @@ from service.bus.messages import encode
 from service.documents.identification import JobDocument
 from service.domain.errors import (
     ActivationRefusedError,
+    BearingTwinError,
     CellUnavailableError,
     JobConflictError,
     KeyUsedBeforeError,
@@ -19,6 +20,7 @@ from service.domain.errors import (
     NotReadyError,
     PushRefusedError,
     RequestRefusedError,
+    RoleRefusedError,
 )
 from service.store import StoreUnavailableError
 
@@ -46,6 +48,7 @@ _KINDS: Final[dict[type[Exception], Callable[[Any], tuple[Any, ...]]]] = {
     NotReadyError: _text,
     PushRefusedError: lambda error: (error.detail, error.retry_after_s),
     RequestRefusedError: lambda error: (error.pointer, error.detail),
+    RoleRefusedError: _text,
     StoreUnavailableError: _text,
     UnknownAlarmError: _text,
 }
@@ -54,7 +57,7 @@ _BY_NAME: Final[dict[str, Callable[..., Exception]]] = {kind.__name__: kind for 
 }
 
 
-class CellFaultError(RuntimeError):
+class CellFaultError(BearingTwinError, RuntimeError):
     """A command met an error that no one had thought of; the cell's log says more."""
 
 

@@ -12,7 +12,7 @@ from urllib.parse import urlsplit
 from anyio import to_thread
 
 from service.bus.directory import Directory
-from service.bus.fleet import Fleet
+from service.bus.fleet_cells import Fleet
 from service.bus.nats_bus import NatsConnection
 from service.site.configuration import SettingsError
 from service.site.settings import Settings
@@ -41,6 +41,7 @@ def fleet_of(settings: Settings, store: Store, directory: Directory, what: str) 
         settings.fleet.partitions,
         directory.ids,
         partial(to_thread.run_sync, store.alarms.load, abandon_on_cancel=True),
+        partial(to_thread.run_sync, store.partition_owners.load, abandon_on_cancel=True),
     )
 
 

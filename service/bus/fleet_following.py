@@ -8,11 +8,12 @@ from typing import Final
 import msgspec
 
 from adapters.protocol import Clock
-from service.bus.fleet import Fleet
+from service.bus.fleet_cells import Fleet
 from service.bus.followed import Followed
 from service.bus.following import Following
 from service.bus.nats_bus import CellLink
-from service.bus.stream import Bus, Message
+from service.bus.stream import LiveMessages
+from service.bus.subscription import Message
 from service.documents.messages import ServiceHealth
 from service.domain.errors import CellUnavailableError
 
@@ -23,26 +24,26 @@ _HEALTH_EVERY_S: Final = 1.0
 _KEPT: Final = 1
 
 
-class _Mirror(Bus):
-    """The live messages of one cell under its own numbers; tells the bus of all of gaps."""
+class _Mirror(LiveMessages):
+    """The live messages of one cell under its own numbers; reports gaps to the bus of all cells."""
 
     def __init__(self, clock: Clock, whole: "FleetFollowing") -> None:
         super().__init__(clock, "", history_messages=_KEPT, on_message=whole.take)
         self._whole = whole
 
     def end_subscriptions(self, reason: str) -> None:
-        """Tell those who follow that messages are missing."""
+        """Report to all subscribers that messages are missing."""
         self._whole.miss(reason)
 
 
 class FleetFollowing:
-    """Brings the live messages of all cells into one `Bus`, with numbers of its own.
+    """Brings the live messages of all cells into one `LiveMessages`, with numbers of its own.
 
     Parameters
     ----------
     fleet : Fleet
         All cells.
-    bus : Bus
+    bus : LiveMessages
         Takes the messages.
     clock : Clock
         Process time.
@@ -53,7 +54,7 @@ class FleetFollowing:
         Set when the cells of the beginning are followed.
     """
 
-    def __init__(self, fleet: Fleet, bus: Bus, clock: Clock) -> None:
+    def __init__(self, fleet: Fleet, bus: LiveMessages, clock: Clock) -> None:
         self.caught_up = asyncio.Event()
         self._fleet = fleet
         self._bus = bus
@@ -66,7 +67,7 @@ class FleetFollowing:
     async def run(self) -> None:
         """Follow until cancelled."""
         async with asyncio.TaskGroup() as tasks:
-            tasks.create_task(self._tell_health())
+            tasks.create_task(self._report_health())
             assets = self._fleet.state.assets
             while True:
                 cells = dict(self._fleet.cells)
@@ -78,7 +79,7 @@ class FleetFollowing:
                 for token, cell in cells.items():
                     if token not in self._running:
                         mirror = _Mirror(self._clock, self)
-                        one = Following(cell, mirror, partial(self._wanted, cell))
+                        one = Following(cell, mirror, partial(self._wanted, cell), replays=False)
                         self._of_cell[token] = one
                         self._running[token] = tasks.create_task(one.run())
                 alive = [cell.epoch for cell in self._fleet.alive()]
@@ -107,7 +108,7 @@ class FleetFollowing:
             raise CellUnavailableError("no cell answers")
         answers = await asyncio.gather(
             *(
-                self._of_cell[cell.epoch].follow(self._fleet.of_cell(cell.epoch, assets))
+                self._of_cell[cell.epoch].follow(self._fleet.assets.of_cell(cell.epoch, assets))
                 for cell in cells
                 if cell.epoch in self._of_cell
             ),
@@ -121,7 +122,7 @@ class FleetFollowing:
     def take(self, message: Message) -> None:
         """Hand on a message of a cell."""
         if message.type == "health":
-            # Each cell tells of its own sources; who follows hears of all together.
+            # Each cell reports its own sources; a subscriber gets those of all cells together.
             epoch, health = _read_health.decode(message.text).parts()
             self._health[epoch] = health
         elif message.type != "heartbeat":
@@ -133,9 +134,9 @@ class FleetFollowing:
         self._bus.end_subscriptions(reason)
 
     def _wanted(self, cell: CellLink) -> Collection[str] | None:
-        return self._fleet.of_cell(cell.epoch, self._bus.followed())
+        return self._fleet.assets.of_cell(cell.epoch, self._bus.followed())
 
-    async def _tell_health(self) -> None:
+    async def _report_health(self) -> None:
         while True:
             await asyncio.sleep(_HEALTH_EVERY_S)
             alive = {cell.epoch for cell in self._fleet.alive()}

@@ -36,7 +36,7 @@ class Followed:
     _interests: dict[str | None, _Interest] = field(default_factory=dict)
 
     def note(self, assets: Iterable[str] | None, number: int) -> int:
-        """Take note that somebody follows some assets, or all.
+        """Record that a client follows some assets, or all.
 
         Parameters
         ----------

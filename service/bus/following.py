@@ -8,10 +8,12 @@ from typing import Any, Final, cast
 import msgspec
 import structlog
 
-from service.bus.commands import FollowStream, StreamAfter, StreamMessage
+from service.bus.calls import call
+from service.bus.commands import LiveStream, StreamMessage
 from service.bus.interface import STREAM_TOPIC, ReaderBus
 from service.bus.messages import encode
-from service.bus.stream import Bus, Message
+from service.bus.stream import LiveMessages
+from service.bus.subscription import Message
 from service.domain.errors import CellUnavailableError
 
 #: Wall seconds for a part of what was missed.
@@ -35,25 +37,30 @@ def packed(message: Message) -> bytes:
 
 
 class Following:
-    """Brings the cell's live messages into a `Bus` of this process.
+    """Brings the cell's live messages into a `LiveMessages` of this process.
 
     Parameters
     ----------
     reader : ReaderBus
         Where they come from.
-    bus : Bus
+    bus : LiveMessages
         Takes them, and keeps them for subscribers that come back.
     followed : callable, optional
         Gives the assets whose live messages are wanted; None for all. Default: those that the
         subscribers of the bus want.
+    replays : bool
+        Whether what a cell has sent before it was heard first is handed out too. Not where it
+        comes under new numbers: no client can resume from it, and old messages would look new.
     """
 
     def __init__(
         self,
         reader: ReaderBus,
-        bus: Bus,
+        bus: LiveMessages,
         followed: Callable[[], Collection[str] | None] | None = None,
+        replays: bool = True,
     ) -> None:
+        self._replays = replays
         self._followed = followed or bus.followed
         self._reader = reader
         self._bus = bus
@@ -87,7 +94,7 @@ class Following:
         CellUnavailableError
             If the cell does not answer.
         """
-        command = FollowStream(None if assets is None else sorted(assets))
+        command = call(LiveStream.follow, None if assets is None else sorted(assets))
         made = await self._reader.ask(command, PATIENCE_S)
         # A cell that has just started again may not have sent anything yet.
         for _ in range(_LOOKS):
@@ -125,10 +132,13 @@ class Following:
             if epoch != bus.epoch:
                 self.caught_up.clear()
                 bus.restart(epoch, "the cell has started again")
+                if not self._replays:
+                    number = max(number, self._reader.state.stream)
+                    bus.skip_to(number, number)
             try:
                 while bus.seq < number and bus.epoch == epoch:
                     before = bus.seq
-                    part = await self._reader.ask(StreamAfter(epoch, before), PATIENCE_S)
+                    part = await self._reader.ask(call(LiveStream.after, epoch, before), PATIENCE_S)
                     if part.forgotten > before:
                         bus.skip_to(part.forgotten, part.forgotten)
                         self._miss(part.forgotten - before)
@@ -138,7 +148,7 @@ class Following:
                         bus.skip_to(max(part.number, number), 0)
                 self.caught_up.set()
             except CellUnavailableError:
-                # At the beginning it is tried again; later nobody must wait for what comes next.
+                # At the beginning it is tried again; later the next messages must not wait.
                 if self.caught_up.is_set() and bus.epoch == epoch and bus.seq < number:
                     self._miss(number - bus.seq)
                     bus.skip_to(number, number)

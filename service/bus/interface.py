@@ -3,18 +3,23 @@
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from typing import Any, Protocol
 
-from service.bus.messages import AnswerT, Change, Command, State
+from service.bus.messages import AnswerT, CellState, Change, Command
 
 Handler = Callable[[Any], Awaitable[Any]]
 """Answers a command; may raise an error of the domain."""
+
+Handlers = Mapping[type[Command[Any]], Handler]
+"""What answers which command."""
 
 #: Wall seconds between two reports of the cell's state.
 STATE_EVERY_S = 0.25
 #: Wall seconds without a sign of the cell after which it counts as away.
 AWAY_AFTER_S = 2.0
-#: The topic of the cell's state, and that of the live messages.
+#: The topics of the cell's state, of the live messages, and of its health and metrics.
 STATE_TOPIC = "state"
 STREAM_TOPIC = "stream"
+HEALTH_TOPIC = "health"
+METRICS_TOPIC = "metrics"
 
 
 class CellBus(Protocol):
@@ -34,10 +39,10 @@ class CellBus(Protocol):
         May be called from any thread.
         """
 
-    def report(self, state: State) -> None:
+    def report(self, state: CellState) -> None:
         """Report from now on that the cell is in this state."""
 
-    async def serve(self, handlers: Mapping[type[Command[Any]], Handler]) -> None:
+    async def serve(self, handlers: Handlers) -> None:
         """Answer commands until cancelled.
 
         Of one caller and of all together a limited number are under way; the next one is refused.
@@ -56,7 +61,7 @@ class ReaderBus(Protocol):
         """Of the cell that was last heard; empty before the first sign."""
 
     @property
-    def state(self) -> State:
+    def state(self) -> CellState:
         """What the cell last reported of itself."""
 
     async def run(self) -> None:

@@ -9,7 +9,7 @@ import contextlib
 import threading
 import time
 import uuid
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -21,8 +21,8 @@ import zmq.asyncio
 
 from service.bus.asking import Asking
 from service.bus.dispatch import Dispatcher
-from service.bus.interface import AWAY_AFTER_S, STATE_EVERY_S, STATE_TOPIC, Handler
-from service.bus.messages import AnswerT, Change, Command, State, encode
+from service.bus.interface import AWAY_AFTER_S, STATE_EVERY_S, STATE_TOPIC, Handlers
+from service.bus.messages import AnswerT, CellState, Change, Command, encode
 from service.bus.places import CHANGES, COMMANDS, bus_folder
 from service.domain.errors import CellUnavailableError
 
@@ -53,7 +53,7 @@ class LocalCellBus:
 
     def __init__(self, data_dir: Path) -> None:
         self.epoch = uuid.uuid4().hex[:12]
-        self._state = State()
+        self._state = CellState()
         self._reports = 0
         self._context = zmq.asyncio.Context()
         folder = bus_folder(data_dir)
@@ -86,7 +86,7 @@ class LocalCellBus:
             if not self._changes.closed:
                 self._changes.send_multipart(frames, zmq.NOBLOCK)
 
-    def report(self, state: State) -> None:
+    def report(self, state: CellState) -> None:
         """See `service.bus.interface.CellBus.report`."""
         before, self._state = self._state, state
         if (before.waits_for, before.ready) != (state.waits_for, state.ready):
@@ -96,7 +96,7 @@ class LocalCellBus:
         self._reports += 1
         self.publish(STATE_TOPIC, self._reports, encode(self._state))
 
-    async def serve(self, handlers: Mapping[type[Command[Any]], Handler]) -> None:
+    async def serve(self, handlers: Handlers) -> None:
         """See `service.bus.interface.CellBus.serve`."""
         dispatcher = Dispatcher(handlers)
         reporting = asyncio.create_task(self._keep_reporting())
@@ -136,13 +136,13 @@ class LocalReaderBus:
 
     def __init__(self, data_dir: Path) -> None:
         self.epoch = ""
-        self.state = State()
+        self.state = CellState()
         self._heard_s = time.monotonic() - AWAY_AFTER_S
         self._folder = bus_folder(data_dir)
         self._context = zmq.asyncio.Context()
         self._commands = self._socket(zmq.DEALER, COMMANDS)
         self._asking = Asking(self._send)
-        self._state_decoder = msgspec.msgpack.Decoder(State)
+        self._state_decoder = msgspec.msgpack.Decoder(CellState)
         self._change_decoder = msgspec.msgpack.Decoder(Change)
 
     def close(self) -> None:

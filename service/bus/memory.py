@@ -2,13 +2,12 @@
 
 import asyncio
 import uuid
-from collections.abc import AsyncIterator, Mapping
-from typing import Any
+from collections.abc import AsyncIterator
 
 from service.bus.asking import Asking
 from service.bus.dispatch import Dispatcher
-from service.bus.interface import Handler
-from service.bus.messages import AnswerT, Change, Command, State
+from service.bus.interface import Handlers
+from service.bus.messages import AnswerT, CellState, Change, Command
 from service.domain.errors import CellUnavailableError
 
 #: Changes that may wait for a reader.
@@ -22,13 +21,13 @@ class MemoryBus:
     ----------
     epoch : str
         Names this start of the cell.
-    state : State
+    state : CellState
         What the cell last reported of itself.
     """
 
     def __init__(self) -> None:
         self.epoch = uuid.uuid4().hex[:12]
-        self.state = State()
+        self.state = CellState()
         self._readers: dict[asyncio.Queue[Change], str] = {}
         self._dispatcher: Dispatcher | None = None
         self._asking = Asking(self._send)
@@ -46,11 +45,11 @@ class MemoryBus:
             return
         self._hand_out(topic, change)
 
-    def report(self, state: State) -> None:
+    def report(self, state: CellState) -> None:
         """See `service.bus.interface.CellBus.report`."""
         self.state = state
 
-    async def serve(self, handlers: Mapping[type[Command[Any]], Handler]) -> None:
+    async def serve(self, handlers: Handlers) -> None:
         """See `service.bus.interface.CellBus.serve`."""
         self._loop = asyncio.get_running_loop()
         self._dispatcher = Dispatcher(handlers)

@@ -1,7 +1,7 @@
 """A bus between the processes of several machines: NATS.
 
 What goes over it may be lost: changes are numbered, commands are answered or not. Nothing is kept
-for a server that is away: old changes are worth nothing, and whoever asks has gone.
+for a server that is unreachable: old changes are worth nothing, and the client has gone.
 """
 
 import asyncio
@@ -12,17 +12,18 @@ import threading
 import time
 import zlib
 from collections import deque
-from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
+from urllib.parse import urlsplit
 
 import msgspec
 import structlog
 
 from service.bus.asking import Asking
 from service.bus.dispatch import Dispatcher
-from service.bus.interface import AWAY_AFTER_S, STATE_EVERY_S, Handler
-from service.bus.messages import AnswerT, Change, Command, State, encode
+from service.bus.interface import AWAY_AFTER_S, STATE_EVERY_S, Handlers
+from service.bus.messages import AnswerT, CellState, Change, Command, encode
 from service.domain.errors import CellUnavailableError
 
 if TYPE_CHECKING:
@@ -33,6 +34,8 @@ if TYPE_CHECKING:
 QUEUE: Final = 4000
 #: Longer messages go compressed: the server takes none above one MiB.
 _COMPRESSED_FROM: Final = 8192
+#: No message is longer once it is unpacked; a few kB could stand for gigabytes.
+UNPACKED_MAX: Final = 16 * 2**20
 _PLAIN, _COMPRESSED = b"\0", b"\1"
 _RECONNECT_S: Final = 1
 _PING_S: Final = 5
@@ -111,23 +114,28 @@ class NatsConnection:
         """Keep the connection until cancelled."""
         from nats.aio.client import Client
 
-        told = ""
+        reported = ""
 
         async def on_error(error: Exception) -> None:
-            nonlocal told
+            nonlocal reported
             reason = f"{type(error).__name__}: {error}".strip()
-            if reason != told:
-                told = reason
+            if reason != reported:
+                reported = reason
                 _log.warning("nats_error", reason=reason)
 
         async def on_change(what: str) -> None:
             _log.info(what)
 
         client = self._client = Client()
+        place = urlsplit(self._url)
         connecting = client.connect(
             self._url,
             name=self._name,
             tls=self._tls,
+            # Also for the other servers of a cluster, which the first one names without them.
+            user=place.username if place.password is not None else None,
+            password=place.password,
+            token=place.username if place.password is None else None,
             allow_reconnect=True,
             max_reconnect_attempts=-1,
             reconnect_time_wait=_RECONNECT_S,
@@ -175,13 +183,18 @@ def packed(body: bytes) -> bytes:
 
 
 def unpacked(body: bytes) -> bytes:
-    """Read a message; an empty one where it cannot be."""
+    """Read a message; an empty one where it cannot be, or would be longer than any of ours."""
     if body[:1] == _PLAIN:
         return body[1:]
+    unpacking = zlib.decompressobj()
     try:
-        return zlib.decompress(body[1:])
+        message = unpacking.decompress(body[1:], UNPACKED_MAX)
     except zlib.error:
         return b""
+    if not unpacking.eof:
+        _log.warning("bus_message_not_unpacked", bytes=len(body), unpacked_max=UNPACKED_MAX)
+        return b""
+    return message
 
 
 class NatsCellBus:
@@ -198,7 +211,7 @@ class NatsCellBus:
     def __init__(self, connection: NatsConnection, run: str) -> None:
         self.epoch = token_of(run)
         self._connection = connection
-        self._state = State()
+        self._state = CellState()
         self._reports = 0
         self._place = f"{_CELLS}.{self.epoch}"
         self._dispatcher: Dispatcher | None = None
@@ -207,9 +220,9 @@ class NatsCellBus:
     def publish(self, topic: str, number: int, body: bytes) -> None:
         """See `service.bus.interface.CellBus.publish`."""
         change = packed(encode(Change(self.epoch, number, body)))
-        self._connection.send(f"{self._place}.change.{topic}", change)
+        self._connection.send(changes_of(self.epoch, topic), change)
 
-    def report(self, state: State) -> None:
+    def report(self, state: CellState) -> None:
         """See `service.bus.interface.CellBus.report`."""
         before, self._state = self._state, state
         known = before.waits_for, before.ready, before.partitions, before.followed
@@ -221,7 +234,7 @@ class NatsCellBus:
         change = encode(Change(self.epoch, self._reports, encode(self._state)))
         self._connection.send(f"{STATES}.{self.epoch}", packed(change))
 
-    async def serve(self, handlers: Mapping[type[Command[Any]], Handler]) -> None:
+    async def serve(self, handlers: Handlers) -> None:
         """See `service.bus.interface.CellBus.serve`."""
         self._dispatcher = Dispatcher(handlers)
         try:
@@ -261,7 +274,7 @@ class CellLink:
 
     def __init__(self, connection: NatsConnection, token: str, caller: bytes) -> None:
         self.epoch = token
-        self.state = State()
+        self.state = CellState()
         self._connection = connection
         self._caller = caller
         self._heard_s = time.monotonic()
@@ -278,8 +291,8 @@ class CellLink:
         """Whether it takes commands."""
         return self.state.ready and self.away_s < AWAY_AFTER_S
 
-    def take_state(self, state: State) -> None:
-        """Take note of a sign of life."""
+    def take_state(self, state: CellState) -> None:
+        """Record a sign of life."""
         self._heard_s = time.monotonic()
         self.state = state
 
@@ -298,7 +311,7 @@ class CellLink:
     async def changes(self, topic: str) -> AsyncIterator[Change]:
         """See `service.bus.interface.ReaderBus.changes`."""
         decoder = msgspec.msgpack.Decoder(Change)
-        async for body in self._connection.follow(f"{_CELLS}.{self.epoch}.change.{topic}"):
+        async for body in self._connection.follow(changes_of(self.epoch, topic)):
             with contextlib.suppress(msgspec.DecodeError):
                 yield decoder.decode(body)
 
@@ -313,6 +326,11 @@ class CellLink:
             raise CellUnavailableError("the bus to the cells is away")
         body = packed(_ASKED.pack(self._caller, patience_s) + request)
         self._connection.send(f"{_CELLS}.{self.epoch}.ask", body, self._inbox)
+
+
+def changes_of(cell: str, topic: str) -> str:
+    """Subject of the changes of a topic that a cell reports; ``*`` stands for every cell."""
+    return f"{_CELLS}.{cell}.change.{topic}"
 
 
 def inbox(caller: bytes) -> str:

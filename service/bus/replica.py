@@ -3,33 +3,30 @@
 import asyncio
 import hashlib
 import time
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Protocol
+from typing import Any, Final, TypeVar, TypeVarTuple
 
 from pydantic_core import from_json, to_json
 
 from adapters.configuration import listed
 from adapters.samples import Quality, is_good
-from service.bus.commands import Document, GetDocuments, RenewGrease, Wanted
+from service.bus.calls import call
+from service.bus.commands import Assets, PackedDocument, Wanted
 from service.bus.interface import ReaderBus
-from service.documents.advice import AdviceDocument
-from service.documents.assets import AssetDocument, GreaseRenewed, State
+from service.bus.questions import Questions, how_answered
+from service.documents.assets import AssetDocument, State
 from service.documents.base import Document as Shown
-from service.documents.envelope import EnvelopeDocument
 from service.documents.fleet import FleetAsset
-from service.documents.forecasts import LiveForecast, WhatIf
-from service.documents.identification import WindowDocument
+from service.documents.forecasts import LiveForecast
 from service.documents.interfaces import DocumentKind
 from service.documents.machine import AssetFacts, PresentMachine
 from service.documents.tags import Snapshot, Tag
-from service.documents.verdicts import VerdictDocument, VerdictOf
+from service.documents.verdicts import VerdictDocument, VerdictOf, VerdictOfPresentStep
 from service.domain.errors import CellUnavailableError, NotReadyError
-from service.domain.requests import ProfileStep
-from service.reports.files import ReportFormat
-from service.store import AuditEntry, Run
-from service.store.forecast_records import IssuedForecast
 
+Arguments = TypeVarTuple("Arguments")
+AnswerT = TypeVar("AnswerT")
 #: A copy is given as it is for so many wall seconds; the cell makes a snapshot as often.
 FRESH_S: Final = 0.1
 #: For so long it is given at once, and the next one is asked for meanwhile.
@@ -41,44 +38,6 @@ UNCERTAIN_AFTER_S: Final = 5.0
 #: Tags with these names are a verdict: 0 is unknown.
 _VERDICT_TAG = "verdict."
 _UNKNOWN_CODE = 0
-
-
-class Questions(Protocol):
-    """What is computed for a caller: not in the cell, and not in this process."""
-
-    async def what_if(
-        self,
-        asset: str,
-        machine: PresentMachine,
-        profile: Sequence[ProfileStep],
-        step_s: float | None,
-        nodes: Collection[str] | None,
-    ) -> WhatIf:
-        """Forecast a profile from the state of a machine."""
-
-    async def what_if_to_keep(
-        self,
-        asset: str,
-        machine: PresentMachine,
-        profile: Sequence[ProfileStep],
-        step_s: float | None,
-        nodes: Collection[str] | None,
-    ) -> tuple[WhatIf, IssuedForecast | None]:
-        """Forecast a profile, and give what is kept of the forecast."""
-
-    async def envelope(self, asset: str, machine: PresentMachine) -> EnvelopeDocument:
-        """Give the safe operating envelope."""
-
-    async def advice(
-        self, asset: str, machine: PresentMachine, target: tuple[float, float, float]
-    ) -> AdviceDocument:
-        """Rank low-risk steps by what they teach about a point."""
-
-    async def windows(self, asset: str) -> Sequence[WindowDocument]:
-        """Find the low-risk windows in the store."""
-
-    async def report(self, asset: str, run: Run, format: ReportFormat, now_us: int) -> bytes:
-        """Make the report of a run."""
 
 
 @dataclass(slots=True)
@@ -136,13 +95,18 @@ class AssetReplica:
     def changed(self) -> None:
         """Take no copy from before this moment for fresh: a caller has changed something.
 
-        Whoever activates a model, acknowledges an alarm or pushes a sample sees it in what it
-        reads next.
+        A client that activates a model, acknowledges an alarm or pushes a sample sees it in its
+        next answer.
         """
         self._changed_s = time.monotonic()
 
+    @property
+    def changed_s(self) -> float:
+        """Wall time, monotonic, since which no caller has changed anything."""
+        return self._changed_s
+
     def is_due(self, kind: DocumentKind, fresh_s: float | None = None) -> bool:
-        """Tell whether a copy is to be asked for again; ``fresh_s`` says what fresh is here."""
+        """Return whether a copy is to be asked for again; ``fresh_s`` says what fresh is here."""
         copy = self._copies.setdefault(kind, _Copy())
         fresh_s = self._fresh_s if fresh_s is None else fresh_s
         return copy.age_s > fresh_s or copy.right_s <= self._changed_s
@@ -166,7 +130,7 @@ class AssetReplica:
             if copy.asking is None or copy.asked_s <= self._changed_s:
                 copy.asked_s = time.monotonic()
                 copy.asking = asyncio.create_task(self._ask(kind, copy, copy.asked_s))
-                # Also where nobody waits for it.
+                # Also where no caller waits for it.
                 copy.asking.add_done_callback(lambda done: done.cancelled() or done.exception())
             if outdated or copy.age_s > max(SOON_S, self._fresh_s) or not self._fresh_s:
                 due.append(copy.asking)
@@ -179,7 +143,7 @@ class AssetReplica:
     async def _ask(self, kind: DocumentKind, copy: _Copy, asked_s: float) -> None:
         try:
             wanted = Wanted(self.id, kind, copy.tag)
-            (document,) = await self._reader.ask(GetDocuments([wanted]), PATIENCE_S)
+            (document,) = await self._reader.ask(call(Assets.documents, [wanted]), PATIENCE_S)
             self.take(kind, document, asked_s)
         except CellUnavailableError:
             pass  # the copy that is there gets older, and says so
@@ -196,7 +160,7 @@ class AssetReplica:
         """Tag of the copy that is there; empty where there is none."""
         return self._copies.setdefault(kind, _Copy()).tag
 
-    def take(self, kind: DocumentKind, document: Document, asked_s: float) -> None:
+    def take(self, kind: DocumentKind, document: PackedDocument, asked_s: float) -> None:
         """Take what the cell answered to a question of this monotonic time."""
         copy = self._copies.setdefault(kind, _Copy())
         if asked_s < copy.right_s:  # a later question was answered sooner
@@ -253,6 +217,7 @@ class AssetReplica:
             return VerdictDocument(
                 time=data.time,
                 now=unknown,
+                present_step=VerdictOfPresentStep(**dict(unknown), ends_at=None),
                 next_step=unknown,
                 time_to_limit=None,
                 missing=sorted({*data.missing, "twin"}),
@@ -297,9 +262,9 @@ class AssetReplica:
         snapshot: Snapshot = self._data("snapshot")
         return snapshot
 
-    def glance(self) -> FleetAsset:
+    def asset_summary(self) -> FleetAsset:
         """Return what the fleet shows of it, as it was heard last, however long ago."""
-        copy = self._copies.setdefault("glance", _Copy())
+        copy = self._copies.setdefault("asset_summary", _Copy())
         return FleetAsset.model_validate_json(copy.text)
 
     def verdict(self) -> VerdictDocument:
@@ -307,86 +272,35 @@ class AssetReplica:
         verdict: VerdictDocument = self._data("verdict")
         return verdict
 
-    async def what_if(
-        self,
-        profile: Sequence[ProfileStep],
-        step_s: float | None,
-        nodes: Collection[str] | None,
-    ) -> WhatIf:
-        """Forecast a profile from the present state.
+    async def compute(
+        self, question: Callable[[Any, *Arguments], AnswerT], *arguments: *Arguments
+    ) -> AnswerT:
+        """Have a worker answer a question, see `service.bus.questions`.
+
+        Raises
+        ------
+        NotReadyError
+            While the twin has no state yet, or it is not known what the machine runs at, for a
+            question that needs it.
+        """
+        if self._questions is None:
+            raise RuntimeError("this process computes nothing")
+        how = how_answered(question)
+        machine = None if how.of_store else await self._machine()
+        if machine and machine.missing and how.needs_operation:
+            needs = f"{how.needs_operation} needs the present operation"
+            raise NotReadyError(f"{needs}; missing: {listed(machine.missing)}")
+        return await self._questions.answer(question, self.id, machine, *arguments)
+
+    async def model_version(self) -> int:
+        """The model version that answers are computed with.
 
         Raises
         ------
         NotReadyError
             While the twin has no state yet.
         """
-        machine = await self._machine()
-        return await self._asked().what_if(self.id, machine, profile, step_s, nodes)
-
-    async def what_if_to_keep(
-        self,
-        profile: Sequence[ProfileStep],
-        step_s: float | None,
-        nodes: Collection[str] | None,
-    ) -> tuple[WhatIf, IssuedForecast | None]:
-        """Forecast a profile from the present state, and give what is kept of the forecast.
-
-        Raises
-        ------
-        NotReadyError
-            While the twin has no state yet, or does not know what the machine runs at.
-        """
-        machine = await self._machine()
-        if machine.missing:
-            raise NotReadyError(
-                "a forecast to keep needs the present operation; missing: "
-                + listed(machine.missing)
-            )
-        return await self._asked().what_if_to_keep(self.id, machine, profile, step_s, nodes)
-
-    async def envelope(self) -> EnvelopeDocument:
-        """Give the safe operating envelope.
-
-        Raises
-        ------
-        NotReadyError
-            While the twin has no state yet.
-        """
-        return await self._asked().envelope(self.id, await self._machine())
-
-    async def advice(self, speed_rpm: float, load_n: float, duration_s: float) -> AdviceDocument:
-        """Rank low-risk steps by what they teach about a point.
-
-        Raises
-        ------
-        NotReadyError
-            While the twin has no state yet.
-        NotIdentifiedError
-            While the active model is not identified.
-        """
-        target = speed_rpm, load_n, duration_s
-        return await self._asked().advice(self.id, await self._machine(), target)
-
-    async def windows(self) -> Sequence[WindowDocument]:
-        """Find the low-risk windows in the store, with operating points and score."""
-        return await self._asked().windows(self.id)
-
-    async def report(self, run: Run, format: ReportFormat, now_us: int) -> bytes:
-        """Make the report of a run of this asset, as it is at a process time."""
-        return await self._asked().report(self.id, run, format, now_us)
-
-    async def renew_grease(
-        self, who: str, comment: str, audit: AuditEntry | None = None
-    ) -> GreaseRenewed:
-        """Count the revolutions since the grease was fresh from zero again.
-
-        Raises
-        ------
-        NotReadyError
-            While the twin has no state yet.
-        """
-        text = await self._reader.ask(RenewGrease(self.id, who, comment, audit), 10.0)
-        return GreaseRenewed.model_validate_json(text)
+        return (await self._machine()).version
 
     async def _machine(self) -> PresentMachine:
         """The state that answers begin from: of now, or none."""
@@ -397,11 +311,6 @@ class AssetReplica:
         if machine.estimate is None:
             raise NotReadyError("the twin waits for the first good temperatures, speed and load")
         return machine
-
-    def _asked(self) -> Questions:
-        if self._questions is None:
-            raise RuntimeError("this process computes nothing")
-        return self._questions
 
 
 _MODELS: Final[Mapping[DocumentKind, type[Shown]]] = {

@@ -7,9 +7,11 @@ from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
-from service.bus.commands import AssetNames, GetDocuments, Wanted
+from service.bus.calls import call
+from service.bus.commands import Assets, Wanted
 from service.bus.interface import ReaderBus
-from service.bus.replica import FRESH_S, PATIENCE_S, AssetReplica, Questions, digest
+from service.bus.questions import Questions
+from service.bus.replica import FRESH_S, PATIENCE_S, AssetReplica, digest
 from service.documents.interfaces import DocumentKind
 from service.domain.errors import CellUnavailableError
 
@@ -23,7 +25,7 @@ _ALL: Final[tuple[DocumentKind, ...]] = (
     "state",
     "verdict",
     "forecast",
-    "glance",
+    "asset_summary",
 )
 #: Wall seconds between two looks for other assets.
 _LOOK_EVERY_S: Final = 0.25
@@ -61,13 +63,13 @@ class Replicas:
         async with self._loading:
             # Before asking: what comes meanwhile is learned with the next look.
             loaded = self.reader.state.assets
-            numbers = await self.reader.ask(AssetNames(), PATIENCE_S)
+            numbers = await self.reader.ask(call(Assets.names), PATIENCE_S)
             new = {
                 name: AssetReplica(name, self.reader, self.questions, self.fresh_s)
                 for name, number in numbers.items()
                 if self._numbers.get(name) != number
             }
-            # Nobody meets an asset of which nothing is known yet.
+            # No client gets an asset whose documents are not here yet.
             await self._refresh(new.values(), _ALL)
             for gone in self.assets.keys() - numbers.keys():
                 del self.assets[gone]
@@ -87,11 +89,11 @@ class Replicas:
                 with contextlib.suppress(CellUnavailableError):
                     await self.load()
 
-    def changed(self, asset: str | None = None) -> None:
-        """Take no copy of an asset, or of any, from before this moment for fresh."""
-        for id, replica in self.assets.items():
-            if asset in (None, id):
-                replica.changed()
+    def changed(self, assets: Collection[str] | None) -> None:
+        """Take no copy of some assets, or of any, from before this moment for fresh."""
+        for name in self.assets if assets is None else assets:
+            if name in self.assets:
+                self.assets[name].changed()
 
     async def refresh(self, *kinds: DocumentKind, assets: Collection[str] | None = None) -> None:
         """Bring the documents of some assets, or of all, up to date, some with each question."""
@@ -107,7 +109,7 @@ class Replicas:
         """Bring some documents up to date with one question: `PORTION` of them at most."""
         wanted = [Wanted(asset.id, kind, asset.known_tag(kind)) for asset, kind in portion]
         asked_s = time.monotonic()
-        documents = await self.reader.ask(GetDocuments(wanted), PATIENCE_S)
+        documents = await self.reader.ask(call(Assets.documents, wanted), PATIENCE_S)
         for (asset, kind), document in zip(portion, documents, strict=True):
             asset.take(kind, document, asked_s)
 
@@ -121,4 +123,4 @@ class Replicas:
 
 def _is_whole(asset: AssetReplica) -> bool:
     """Whether all is known that every asset has; one that goes while it is read lacks some."""
-    return asset.is_known("summary") and asset.is_known("glance")
+    return asset.is_known("summary") and asset.is_known("asset_summary")

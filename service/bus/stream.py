@@ -8,60 +8,25 @@ a reason, so that it comes back and starts from a fresh snapshot.
 import asyncio
 import threading
 import uuid
+from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
 from itertools import islice
+from operator import attrgetter
 
 import msgspec
 from pydantic_core import to_json
 
 from adapters.protocol import Clock
 from service.bus.followed import Followed
+from service.bus.subscription import Message, Subscription
 from service.clock import rfc3339, wall_us
 from service.documents.messages import Heartbeat, MessageType
-
-# What goes first when a subscriber is slow; a message of the last tier never goes.
-_TIER: Mapping[MessageType, int] = {
-    "heartbeat": 0,
-    "measurement": 0,
-    "state": 0,
-    "forecast": 1,
-    "health": 1,
-    "verdict": 1,
-    "alarm": 2,
-    "job": 2,
-}
-_TIERS = 3
-#: What is made only for those who follow the asset.
-_ON_DEMAND: frozenset[MessageType] = frozenset({"measurement", "state", "verdict", "forecast"})
 
 HISTORY_MESSAGES = 4096
 HISTORY_BYTES = 4 * 1024 * 1024
 SUBSCRIPTION_MESSAGES = 256
 HEARTBEAT_S = 15.0
-
-
-@dataclass(frozen=True, slots=True)
-class Message:
-    """One message as it goes out; the text is made once for all subscribers.
-
-    Attributes
-    ----------
-    type
-        What the data are.
-    seq
-        Number of the message, counted from 1 at the start of the service.
-    asset
-        Asset that it is about, None for the service as a whole.
-    text
-        The JSON text with type, seq, epoch, asset, time, sent_at and data.
-    """
-
-    type: MessageType
-    seq: int
-    asset: str | None
-    text: str
 
 
 class _Envelope(msgspec.Struct):
@@ -75,117 +40,7 @@ class _Envelope(msgspec.Struct):
 _read_envelope = msgspec.json.Decoder(_Envelope)
 
 
-class SubscriptionClosedError(Exception):
-    """No more messages come; the text says why."""
-
-
-class Subscription:
-    """The messages waiting for one subscriber. Made by `Bus.subscribe`; read in its event loop.
-
-    Attributes
-    ----------
-    start_seq
-        Number after which this subscription goes on: the resume point, or the latest message.
-    gap
-        True when messages after the resume point are gone, so that a fresh snapshot is needed.
-    dropped
-        Messages left out so far because the subscriber was slow.
-    missed
-        Messages after the resume point that were waiting at the beginning.
-    """
-
-    def __init__(
-        self,
-        bus: "Bus",
-        assets: frozenset[str] | None,
-        start_seq: int,
-        gap: bool,
-        capacity: int,
-        types: frozenset[MessageType] | None = None,
-        live: frozenset[str] | None = None,
-    ) -> None:
-        self.start_seq = start_seq
-        self.gap = gap
-        self.dropped = 0
-        self.missed = 0
-        self._bus = bus
-        self._assets = assets
-        self._types = types
-        self._live = assets if live is None else live
-        self._capacity = capacity
-        self._tiers: tuple[deque[Message], ...] = tuple(deque() for _ in range(_TIERS))
-        self._closed: str | None = None
-        self._loop = asyncio.get_running_loop()
-        self._thread = threading.get_ident()
-        self._something = asyncio.Event()
-
-    @property
-    def followed(self) -> frozenset[str] | None:
-        """Assets whose live messages are wanted; None for all."""
-        live = self._types is None or not self._types.isdisjoint(_ON_DEMAND)
-        return self._live if live else frozenset()
-
-    def wants(self, message: Message) -> bool:
-        """Tell whether the message is about one of the assets asked for, or about all."""
-        if self._types is not None and message.type not in self._types:
-            return False
-        wanted = self._live if message.type in _ON_DEMAND else self._assets
-        return message.asset is None or wanted is None or message.asset in wanted
-
-    async def get(self) -> Message:
-        """Wait for the next message, in order of number.
-
-        Raises
-        ------
-        SubscriptionClosedError
-            When the subscription was closed and what had been waiting is read.
-        """
-        while True:
-            message = self._take()
-            if message is not None:
-                return message
-            if self._closed is not None:
-                raise SubscriptionClosedError(self._closed)
-            await self._something.wait()
-
-    def close(self, reason: str = "closed") -> None:
-        """End the subscription; a waiting `get` raises once the queue is empty."""
-        self._bus._forget(self)
-        self._end(reason)
-
-    def _take(self) -> Message | None:
-        with self._bus._lock:
-            waiting = [tier for tier in self._tiers if tier]
-            if waiting:
-                return min(waiting, key=lambda tier: tier[0].seq).popleft()
-            if self._closed is None:
-                self._something.clear()
-            return None
-
-    def _put(self, message: Message) -> bool:
-        """Queue a message (the bus holds the lock); False when the subscriber must be cut off."""
-        self._tiers[_TIER[message.type]].append(message)
-        if sum(map(len, self._tiers)) > self._capacity:
-            victims = next((tier for tier in self._tiers[:-1] if tier), None)
-            if victims is None:
-                return False
-            victims.popleft()
-            self.dropped += 1
-        return True
-
-    def _end(self, reason: str) -> None:
-        if self._closed is None:
-            self._closed = reason
-        self._wake()
-
-    def _wake(self) -> None:
-        if threading.get_ident() == self._thread:
-            self._something.set()
-        elif not self._loop.is_closed():
-            self._loop.call_soon_threadsafe(self._something.set)
-
-
-class Bus:
+class LiveMessages:
     """Numbers messages, keeps the latest for resuming and hands them to the subscribers.
 
     `publish` may be called from any thread.
@@ -240,7 +95,7 @@ class Bus:
         return len(self._subscriptions)
 
     def follow(self, assets: Iterable[str] | None) -> int:
-        """Take note of those who follow some assets, or all, on a copy of this bus.
+        """Record those who follow some assets, or all, on a copy of this bus.
 
         Returns
         -------
@@ -250,7 +105,7 @@ class Bus:
         return self._followed_elsewhere.note(assets, self._seq)
 
     def is_followed(self, asset: str) -> bool:
-        """See `service.documents.interfaces.Publisher.is_followed`."""
+        """See `service.documents.interfaces.LivePublisher.is_followed`."""
         if self._followed_elsewhere.has(asset):
             return True
         if not self._subscriptions:
@@ -346,8 +201,8 @@ class Bus:
     def after(self, seq: int, most: int) -> tuple[list[Message], int]:
         """The kept messages after a number, at most so many, and what is forgotten."""
         with self._lock:
-            kept = (message for message in self._history if message.seq > seq)
-            return list(islice(kept, most)), self._forgotten_seq
+            begin = bisect_right(self._history, seq, key=attrgetter("seq"))
+            return list(islice(self._history, begin, begin + most)), self._forgotten_seq
 
     def _hand_out(self, message: Message) -> None:
         if message.type != "heartbeat":
@@ -359,8 +214,8 @@ class Bus:
         for subscription in list(self._subscriptions):
             if not subscription.wants(message):
                 continue
-            if subscription._put(message):
-                subscription._wake()
+            if subscription.put(message):
+                subscription.wake()
             else:
                 subscription.close("too slow: alarms and jobs alone overflowed the queue")
 
@@ -408,7 +263,7 @@ class Bus:
         types : iterable of str, optional
             Only messages of these types; default all.
         complete_after : int
-            Number after which there are all messages of the assets: before it nobody followed.
+            Number after which there are all messages of the assets; before it none was asked for.
         live : iterable of str, optional
             Of these alone the messages that are made on demand (measurements, states, verdicts,
             forecasts), and of all ``assets`` the others; default those of ``assets``.
@@ -422,7 +277,8 @@ class Bus:
             missed = [message for message in self._history if message.seq > start_seq]
             # What is promised by resuming comes on top of what may wait.
             subscription = Subscription(
-                self,
+                self._lock,
+                self._forget,
                 wanted,
                 start_seq,
                 gap,
@@ -432,12 +288,12 @@ class Bus:
             )
             for message in missed:
                 if subscription.wants(message):
-                    subscription._put(message)
+                    subscription.put(message)
                     subscription.missed += 1
             if self._closed is None:
                 self._subscriptions.add(subscription)
             else:
-                subscription._end(self._closed)
+                subscription.end(self._closed)
             return subscription
 
     def close(self, reason: str = "the service is stopping") -> None:
@@ -453,14 +309,15 @@ class Bus:
         while len(self._history) > most_messages or self._history_bytes > most_bytes:
             oldest = self._history.popleft()
             self._history_bytes -= len(oldest.text)
-            self._forgotten_seq = oldest.seq
+            # A gap that was reported since is newer than what leaves the history now.
+            self._forgotten_seq = max(self._forgotten_seq, oldest.seq)
 
     def _forget(self, subscription: Subscription) -> None:
         with self._lock:
             self._subscriptions.discard(subscription)
 
 
-async def heartbeats(bus: Bus, every_s: float = HEARTBEAT_S) -> None:
+async def heartbeats(bus: LiveMessages, every_s: float = HEARTBEAT_S) -> None:
     """Send a heartbeat to every subscriber, every so many wall seconds, until cancelled."""
     while True:
         await asyncio.sleep(every_s)

@@ -131,7 +131,7 @@ class Acquisition:
     def _created(self, source: SourceWiring) -> Driver | None:
         """Make the driver of a source; None where it cannot be, which is noted.
 
-        Each channel is right by itself, but two may not go together, or a file may be gone. What
+        Each channel is right alone, but two may not go together, or a file may be gone. What
         is read is read on then, and the next change tries again.
         """
         try:
@@ -163,8 +163,8 @@ class Acquisition:
     def problem(self, source: str, asset: str, channel: str) -> str:
         """Why a channel's latest sample is not good, as its source says; empty where it is.
 
-        A source is asked ten times a second at most: whoever shows a thousand bad channels asks
-        for each of them.
+        A source is asked ten times a second at most: a page of a thousand bad
+        channels asks for each of them.
         """
         driver = self._by_name.get(source)
         if driver is None:

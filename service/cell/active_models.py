@@ -6,7 +6,7 @@ import structlog
 
 from adapters.protocol import Clock
 from service.jobs.models import active_model, first_model, why_not_of_this_asset
-from service.live.estimate import ActiveModel
+from service.live.estimate import RunningModel
 from service.site.asset_section import AssetSection
 from service.store import FirstModel, Store
 
@@ -15,7 +15,7 @@ _log = structlog.get_logger(__name__)
 
 def active_models(
     store: Store, clock: Clock, assets: Sequence[AssetSection]
-) -> dict[str, ActiveModel]:
+) -> dict[str, RunningModel]:
     """Give the model version of each asset; where there is none that fits, its priors.
 
     What the store lacks is written in one transaction.

@@ -31,10 +31,13 @@ class StateKeeper:
         self._next: asyncio.Task[None] | None = None
         self._writing = asyncio.Lock()
 
-    async def save(self, asset: str, document: KeptState, lines: Sequence[AuditEntry] = ()) -> None:
+    def save(
+        self, asset: str, document: KeptState, lines: Sequence[AuditEntry] = ()
+    ) -> "asyncio.Task[None]":
         """Keep a document, with lines of the audit trail about what changed it.
 
-        Returns when all of it is kept, and raises what the store raises: then nothing is.
+        The task ends when all of it is kept, and fails with what the store raises: then nothing is.
+        It is that of all who come together, so that no one may cancel it.
         """
         self._waiting[asset] = document
         self._lines += lines
@@ -42,7 +45,7 @@ class StateKeeper:
             self._next = asyncio.create_task(self._write_next())
             # No one may be there any more to hear that it failed.
             self._next.add_done_callback(lambda done: done.cancelled() or done.exception())
-        await asyncio.shield(self._next)
+        return self._next
 
     async def _write_next(self) -> None:
         await asyncio.sleep(GATHER_S)

@@ -3,7 +3,7 @@
 import asyncio
 import ctypes
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import structlog
@@ -12,6 +12,7 @@ from anyio import to_thread
 from adapters.protocol import Clock
 from service.clock import DAY_US, HOUR_US, MICROSECONDS, ClockWatch, rfc3339, wall_us
 from service.store import Retention, RetentionTime, Store, StoreError, StoreUnavailableError
+from service.tasks import Part
 
 #: Wall seconds between two looks for hours to condense, and for samples that are too old.
 ROLLUPS_EVERY_S = 30.0
@@ -36,7 +37,7 @@ _TIME_ERROR = 5
 _log = structlog.get_logger(__name__)
 
 
-class StoreMaintenance:
+class StoreMaintenance(Part):
     """Keeps rollups up to date and the store within its retention.
 
     A clock that is wrong must not empty the store: nothing is removed before the clock has
@@ -55,7 +56,12 @@ class StoreMaintenance:
     trust_after_s
         Wall seconds for which the clock must have agreed with the monotonic clock.
     is_ours
-        Whether this cell does it, of several with one store.
+        Whether this cell, of several with one store, does what is done once for all of it: it
+        removes what is old, and looks for damage.
+    owns
+        Whether this cell condenses and packs the samples of an asset; None: those of all.
+    parts
+        Those that remove what is old of their own.
 
     Attributes
     ----------
@@ -65,6 +71,8 @@ class StoreMaintenance:
         What is wrong with the store's file, and what to do; None while nothing was found.
     """
 
+    name = "maintenance"
+
     def __init__(
         self,
         store: Store,
@@ -72,12 +80,17 @@ class StoreMaintenance:
         retention: Retention,
         trust_after_s: float = TRUST_AFTER_S,
         is_ours: Callable[[], bool] = lambda: True,
+        owns: Callable[[str], bool] | None = None,
+        parts: Sequence[Part] = (),
     ) -> None:
+        self._parts = parts
         self._store = store
         self._clock = clock
         self._retention = retention
         self._trust_after_s = trust_after_s
         self._is_ours = is_ours
+        self._owns = owns
+        self._packed_us = 0
         self.problem: str | None = None
         self.damage: str | None = None
 
@@ -92,17 +105,13 @@ class StoreMaintenance:
             if watch.step_s():
                 agrees_since_s = now_s
             expire_at_s = max(expire_at_s, agrees_since_s + self._trust_after_s)
-            if not self._is_ours():
-                await asyncio.sleep(ROLLUPS_EVERY_S)
-                continue
             try:
                 await to_thread.run_sync(
-                    _refresh,
-                    self._store,
+                    self._refresh,
                     self._clock.now_us() - _SETTLE_US,
                     abandon_on_cancel=True,  # a store that hangs does not hold up the stop
                 )
-                if now_s >= expire_at_s:
+                if now_s >= expire_at_s and self._is_ours():
                     expire_at_s = now_s + EXPIRE_EVERY_S
                     removed = await to_thread.run_sync(
                         partial(self._expire, self._clock.now_us(), wall_us()),
@@ -130,6 +139,21 @@ class StoreMaintenance:
             self.damage = damage
             await asyncio.sleep(CHECK_EVERY_S)
 
+    def _refresh(self, before_us: int) -> None:
+        self._store.rollups.refresh(before_us, self._owns)
+        hour_us = before_us - _PACK_AFTER_US
+        hour_us -= hour_us % HOUR_US
+        if hour_us == self._packed_us:
+            return  # to look for the oldest samples of all channels takes a while
+        # A store of an earlier version has years to pack: the rest waits for the next look.
+        until_s = time.monotonic() + PACKING_S
+        while self._store.packing.pack(hour_us, until_s, self._owns):
+            pass
+        while self._store.rollups.pack_rows(until_s, self._owns):
+            pass
+        if time.monotonic() < until_s:
+            self._packed_us = hour_us
+
     def _expire(self, now_us: int, wall_now_us: int) -> int:
         step_s = 2 * EXPIRE_EVERY_S + _HOUR_S
         proven = is_clock_disciplined()
@@ -145,11 +169,10 @@ class StoreMaintenance:
         self._judge(process, wall)
         removed = self._store.rollups.expire_at(self._retention, process.at_us)
         if self._retention.journal_days:
-            before_us = process.at_us - round(self._retention.journal_days * DAY_US)
-            removed += self._store.alarms.expire(before_us)
-        if self._retention.forecast_days:
-            before_us = process.at_us - round(self._retention.forecast_days * DAY_US)
-            removed += self._store.forecasts.expire(before_us)
+            kept_us = round(self._retention.journal_days * DAY_US)
+            removed += self._store.alarms.expire(process.at_us - kept_us)
+            removed += self._store.refused.expire(wall.at_us - kept_us)
+        removed += sum(part.expire(process.at_us) for part in self._parts)
         if self._retention.audit_days:  # the trail goes by the wall clock
             before_us = wall.at_us - round(self._retention.audit_days * DAY_US)
             removed += self._store.audit.expire(before_us)
@@ -171,7 +194,7 @@ class StoreMaintenance:
 
 
 def is_clock_disciplined() -> bool:
-    """Tell whether the kernel says that a time server keeps its clock; False where it cannot say.
+    """Return whether the kernel says that a time server keeps its clock; False where it cannot say.
 
     A clock that was set by hand, or that started from a battery, counts as not kept.
     """
@@ -182,12 +205,3 @@ def is_clock_disciplined() -> bool:
     # struct timex with no mode set only reads; it is 208 bytes long.
     state = int(adjtimex(ctypes.create_string_buffer(512)))
     return state >= 0 and state != _TIME_ERROR
-
-
-def _refresh(store: Store, before_us: int) -> None:
-    while store.rollups.refresh(before_us):
-        pass
-    # A store of an earlier version has years to pack: the rest waits for the next look.
-    until_s = time.monotonic() + PACKING_S
-    while store.packing.pack(before_us - _PACK_AFTER_US, until_s) and time.monotonic() < until_s:
-        pass

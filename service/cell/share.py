@@ -1,14 +1,18 @@
 """The part of a fleet's assets that this cell follows, as long as it owns their partitions."""
 
 import asyncio
+from collections import Counter
 from collections.abc import Collection, Iterable, Mapping
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from sqlalchemy import Connection
 
 from service.site.asset_section import AssetSection
 from service.site.partitions import partition_of, partitions_of
-from service.store import Ownership
+from service.store.fences import ClosedFence
+
+if TYPE_CHECKING:
+    from service.store.ownership import Ownership
 
 #: The owner of this partition also does what is done once for the whole store.
 HOUSEKEEPING: Final = 0
@@ -30,7 +34,7 @@ class Share:
         Set when assets are to be taken up or given up.
     """
 
-    def __init__(self, ownership: Ownership, changed: asyncio.Event) -> None:
+    def __init__(self, ownership: "Ownership", changed: asyncio.Event) -> None:
         self.ownership = ownership
         self.changed = changed
         self._partitions: Mapping[str, int] = {}
@@ -38,7 +42,7 @@ class Share:
         self._moved: Mapping[str, int] = {}
 
     def arrange(self, assets: Iterable[AssetSection], revision: int) -> None:
-        """Take note of all assets of the fleet as they are with a revision."""
+        """Record all assets of the fleet as they are with a revision."""
         count = self.ownership.count
         partitions = partitions_of(assets, count)
         before = self._partitions
@@ -48,9 +52,10 @@ class Share:
             if before.get(name, partition) != partition
         }
         self._partitions = {**before, **partitions}  # of removed ones something may wait still
+        self.ownership.assets = Counter(partitions.values())
 
     def owns(self, asset: str) -> bool:
-        """Tell whether this cell is to follow an asset.
+        """Return whether this cell is to follow an asset.
 
         One that came from another partition only once every cell knows that: until then the cell
         that owned it may follow it.
@@ -62,7 +67,7 @@ class Share:
         return partition in ownership.owned and partition not in ownership.leaving
 
     def settle(self, revision: int) -> None:
-        """Take note that exactly the assets that `owns` named are followed."""
+        """Record that exactly the assets that `owns` named are followed."""
         self.ownership.assets_revision = revision
         self.ownership.leave(self.ownership.leaving)
 
@@ -72,7 +77,7 @@ class Share:
         return partition_of(f"asset {asset}", self.ownership.count) if known is None else known
 
     @property
-    def keeps_house(self) -> bool:
+    def is_maintenance_leader(self) -> bool:
         """Whether this cell does what is done once for the whole store."""
         return HOUSEKEEPING in self.ownership.owned
 
@@ -87,6 +92,40 @@ class Share:
         self, connection: Connection, assets: Collection[str], run: str
     ) -> Collection[str]:
         """See `service.store.database.Fence.deliverable`."""
-        partitions = {asset: self.partition(asset) for asset in assets}
-        owned = self.ownership.owned_by(connection, set(partitions.values()), run)
-        return [asset for asset, partition in partitions.items() if partition in owned]
+        return _of_run(connection, {asset: self.partition(asset) for asset in assets}, run)
+
+
+class EarlierRuns(ClosedFence):
+    """The fence of a cell that owns nothing yet: it delivers what earlier runs of it left.
+
+    Each change is compared with the present owner of its partition. This run writes nothing.
+
+    Parameters
+    ----------
+    assets : iterable of AssetSection
+        All assets of the fleet.
+    count : int
+        Number of partitions.
+    """
+
+    def __init__(self, assets: Iterable[AssetSection], count: int) -> None:
+        self._partitions = partitions_of(assets, count)
+        self._count = count
+
+    def deliverable(
+        self, connection: Connection, assets: Collection[str], run: str
+    ) -> Collection[str]:
+        """See `service.store.database.Fence.deliverable`."""
+        known, count = self._partitions, self._count
+        partitions = {
+            asset: known.get(asset, partition_of(f"asset {asset}", count)) for asset in assets
+        }
+        return _of_run(connection, partitions, run)
+
+
+def _of_run(connection: Connection, partitions: Mapping[str, int], run: str) -> list[str]:
+    # SQLAlchemy's part for PostgreSQL is loaded only where there is a fleet.
+    from service.store.ownership import owned_by
+
+    owned = owned_by(connection, set(partitions.values()), run)
+    return [asset for asset, partition in partitions.items() if partition in owned]

@@ -31,7 +31,7 @@ def backup(
     if as_json:
         typer.echo(json.dumps({"out": str(out), "bytes": out.stat().st_size, "rows": rows}))
     else:
-        typer.echo(f"{out}: {out.stat().st_size} bytes, {_told(rows)}; checked.")
+        typer.echo(f"{out}: {out.stat().st_size} bytes, {_listed(rows)}; checked.")
 
 
 def restore(
@@ -44,11 +44,15 @@ def restore(
 ) -> None:
     """Put a backup in the place of the store; the service must not run.
 
+    What waits in the data directory of this configuration is stored in it at the next start; cells
+    with another data directory store nothing until 'bearing-twin db confirm'.
+
     All browser sessions end. Keys that were revoked after the backup was made are valid again: run
     'bearing-twin keys revoke --all' unless you know that there are none.
     """
     from service.store import lock_data_directory, lock_database
     from service.store.backup import restore as restore_store
+    from service.store.identity import forget
     from service.store.opening import database_address
 
     settings = load_settings(config)
@@ -58,17 +62,18 @@ def restore(
         lock_database(url, settings.data_dir, lambda: None),
     ):
         rows = restore_store(database_address(url, settings.data_dir), file, force=force)
+        forget(settings.data_dir)
     if as_json:
         typer.echo(json.dumps({"in": str(file), "rows": rows}))
     else:
-        typer.echo(f"{file}: {_told(rows)} restored and checked.")
+        typer.echo(f"{file}: {_listed(rows)} restored and checked.")
         typer.echo(
             "Keys that were revoked after the backup are valid again; "
             "'bearing-twin keys revoke --all' revokes all keys."
         )
 
 
-def _told(rows: dict[str, int]) -> str:
+def _listed(rows: dict[str, int]) -> str:
     names = {
         "samples": "samples",
         "packed_hours": "packed hours of channels",

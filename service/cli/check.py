@@ -6,9 +6,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from service.cli.alarms import changed_alarm_settings
+from service.cli.known_assets import stored_assets_problems
 from service.cli.serve import ConfigFile
 from service.domain.channels import unit_of
+from service.feature_folders import modules
+from service.site.configuration import readable_secrets
 
 if TYPE_CHECKING:
     from service.ingest.probing import Probe
@@ -24,9 +26,9 @@ def check(
     """Check a configuration and read each of its sources once; nothing is stored.
 
     Lists everything that is wrong, one line each, and the present value of every channel. Exit
-    status 0: all sections are right, every source answers and every channel that is read has a
-    good value; else 2. A warning names each alarm setting that was changed in the store. A serial
-    port can be read only while the service does not run.
+    status 0: all sections are right, the assets in the store fit them, every source answers and
+    every channel that is read has a good value; else 2. A warning names each alarm setting that
+    was changed in the store. A serial port can be read only while the service does not run.
     """
     # Imported here: the field libraries take a second to load, which --help should not pay.
     from service.app.checking import environment_errors, ports_in_use
@@ -43,11 +45,18 @@ def check(
         errors += [where + line for line in environment_errors(found.settings)]
         warnings += [where + line for line in publisher_warnings(found.settings)]
         warnings += [where + line for line in ports_in_use(found.settings)]
-        warnings += changed_alarm_settings(found.settings)
+        warnings += [where + line for line in readable_secrets(config)]
+        for _, feature in modules("health"):
+            warnings += feature.warnings(found.settings)
+        wrong, unknown = stored_assets_problems(found.settings)
+        errors += [where + line for line in wrong]
+        warnings += [where + line for line in unknown]
+    else:
+        warnings.append(f"{where}the assets in the store were not checked: see the errors")
     probed = asyncio.run(probe(found.wiring))
     errors += [where + line for line in probed.problems]
     if as_json:
-        from service.documents.commissioning import CheckDocument
+        from service.documents.checks import CheckDocument
 
         file = None if config is None else str(config)
         typer.echo(CheckDocument.of(file, errors, warnings, probed).to_bytes().decode())

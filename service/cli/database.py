@@ -11,7 +11,7 @@ from service.clock import ProcessClock, from_rfc3339, rfc3339
 from service.site.configuration import SettingsError
 from service.site.settings import load_settings
 
-db = typer.Typer(help="The store: schema and retention.", no_args_is_help=True)
+db = typer.Typer(help="The store: schema, retention, refused changes.", no_args_is_help=True)
 
 
 @db.callback()
@@ -26,6 +26,25 @@ def upgrade(config: ConfigFile = None) -> None:
     settings = load_settings(config)
     with Store.open(settings.service.database_url, settings.data_dir, migrate=True):
         typer.echo("The store is up to date.")
+
+
+@db.command()
+def confirm(config: ConfigFile = None) -> None:
+    """Confirm a store that was replaced or is an older copy, so that the service writes to it.
+
+    A cell that finds that its store was replaced, restored from a backup or lacks what it
+    confirmed (a failover to a standby that lagged) keeps samples on its disk until this command.
+    What the store lacks is not in its history; what waits on the disks of the cells is stored.
+    """
+    from service.cli.keys import command_line_actor
+    from service.clock import wall_us
+    from service.store import AuditEntry, Store
+
+    settings = load_settings(config)
+    with Store.open(settings.service.database_url, settings.data_dir) as store:
+        who = command_line_actor().who
+        store.identity.confirm(AuditEntry(wall_us(), who, "", "store.confirm", "store"))
+    typer.echo("The store is confirmed: what waits on the disks of the cells is stored in it.")
 
 
 @db.command()
@@ -79,6 +98,46 @@ def horizon(
 
 
 @db.command()
+def refused(
+    repeat: Annotated[
+        int | None,
+        typer.Option(metavar="ID", help="Write the records of this change, and remove it."),
+    ] = None,
+    config: ConfigFile = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="One JSON document on standard output.")
+    ] = False,
+) -> None:
+    """List changes that the store did not take, and repeat one.
+
+    Records are lines of journal and audit trail, and forecasts. A state of an alarm comes from
+    the owner of the asset alone, and is not repeated.
+    """
+    from service.store import Store
+
+    settings = load_settings(config)
+    with Store.open(settings.service.database_url, settings.data_dir) as store:
+        written = None if repeat is None else store.refused.repeat(repeat, "command line")
+        changes = store.refused.list()
+    if as_json:
+        items = [
+            {"id": one.id, "time": rfc3339(one.time_us), "sender": one.sender}
+            | {"assets": one.assets, "summary": one.summary, "reason": one.reason}
+            | {"document": one.document}
+            for one in changes
+        ]
+        typer.echo(json.dumps({"repeated": written, "items": items}))
+        return
+    if written is not None:
+        typer.echo(f"Change {repeat}: written, {written}.")
+    for one in changes:
+        assets = f" of {one.assets}" if one.assets else ""
+        typer.echo(f"{one.id}  {rfc3339(one.time_us)}  {one.summary}{assets}: {one.reason}")
+    if not changes:
+        typer.echo("No change waits that the store did not take.")
+
+
+@db.command()
 def salvage(
     config: ConfigFile = None,
     as_json: Annotated[
@@ -90,6 +149,7 @@ def salvage(
     Stop the service first.
     """
     from service.store import StoreError, lock_data_directory, lock_database
+    from service.store.identity import forget
     from service.store.opening import database_address
     from service.store.salvage import damage_of, salvage_store
 
@@ -104,6 +164,8 @@ def salvage(
     ):
         problem = damage_of(path)
         done = None if problem is None else salvage_store(path, problem)
+        if done is not None:
+            forget(settings.data_dir)
     if as_json:
         typer.echo(
             json.dumps(

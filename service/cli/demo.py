@@ -16,7 +16,7 @@ from service.signals import stop_on_signals
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from service.lab.demo.score import Account
+    from service.demo.score import Account
 
 
 def demo(
@@ -57,14 +57,14 @@ def demo(
 ) -> None:
     """Watch the twin do its job: a virtual bench, real Modbus and CAN, the whole service.
 
-    A staircase of speeds and a light extra load stage (low risk), re-identification by itself,
+    A staircase of speeds and a light extra load stage (low risk), automatic re-identification,
     then high speed and heavy load, each forecast before it begins.
     """
     # Imported here: no other command should wait for what the demo needs.
     import httpx2
 
     from service.cli.consoles import make_console
-    from service.lab.demo.processes import DemoError
+    from service.demo.processes import DemoError
     from service.web.listening import bind
 
     if sisters and not wait:
@@ -108,14 +108,14 @@ async def _demo(
 ) -> "Account":
     from rich.text import Text
 
-    from service.lab.demo.run import Watch, run
-    from service.lab.demo.table import print_account
+    from service.demo.run import BenchWatch, run
+    from service.demo.table import print_account
 
     # The terminal that goes away hangs up: the processes of the demo must not stay behind.
     stop = stop_on_signals((signal.SIGTERM, signal.SIGINT, signal.SIGHUP))
     began = time.monotonic()
 
-    def tell(line: str) -> None:
+    def report(line: str) -> None:
         minutes, seconds = divmod(int(time.monotonic() - began), 60)
         at = Text(f"{minutes:02d}:{seconds:02d}", "dim")
         console.print(at, f" {line}", soft_wrap=True)
@@ -127,10 +127,10 @@ async def _demo(
         rate=rate,
         port=port,
         seed=seed,
-        watch=Watch(stop, duration_s),
+        watch=BenchWatch(stop, duration_s),
         wait=wait,
         stay=stay,
         sisters=sisters,
-        tell=tell,
+        report=report,
         at_the_end=at_the_end,
     )

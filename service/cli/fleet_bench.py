@@ -43,7 +43,7 @@ def virtual_fleet(
     """Run many virtual benches; each is a unit of a Modbus TCP gateway."""
     # Imported here: the compiled bench takes half a second, which no other command should pay.
     from adapters.virtual_bench import run_fleet
-    from service.lab.fleet_configuration import write_fleet_configuration
+    from service.demo.fleet_configuration import write_fleet_configuration
 
     configure_logging("warning")
 

@@ -17,12 +17,12 @@ from twin_core.scores import WHOLE_RUN_LEVEL
 
 if TYPE_CHECKING:
     from service.offline.forecasting import ProfileForecast
-    from twin_core.forecasting.runaway import RunawayMargin
+    from twin_core.forecasting.runaway import RunawayDistance
 
 
 def forecast(
     model: Annotated[
-        Path, typer.Argument(metavar="MODEL.json", help="What 'bearing-twin identify' wrote.")
+        Path, typer.Argument(metavar="MODEL.json", help="Model file from 'bearing-twin identify'.")
     ],
     profile: Annotated[
         Path,
@@ -105,7 +105,7 @@ def forecast(
         _print(result, out)
 
 
-def _finite(margin: "RunawayMargin | None") -> dict[str, float | None] | None:
+def _finite(margin: "RunawayDistance | None") -> dict[str, float | None] | None:
     """The margin for JSON; null where there is none, or where a figure is not finite."""
     if margin is None:
         return None
@@ -116,7 +116,7 @@ def _finite(margin: "RunawayMargin | None") -> dict[str, float | None] | None:
     }
 
 
-def _margin_text(margin: "RunawayMargin") -> str:
+def _margin_text(margin: "RunawayDistance") -> str:
     at = f"{margin.speed_rpm:.0f} rpm, {margin.load_n:.0f} N"
     parts = [f"Runaway at {at}: {100.0 * margin.probability:.1f} %"]
     if math.isfinite(margin.margin_k):

@@ -26,7 +26,7 @@ from twin_core.bearings import UnknownBearingError
 
 if TYPE_CHECKING:
     from service.offline.identification import Identified
-    from twin_core.identification import Progress as FitProgress
+    from twin_core.identification import IdentificationProgress
 
 MODELS: tuple[str, ...] = get_args(ModelName)
 
@@ -140,7 +140,7 @@ def identify(
             check_options,
             identify_recording,
         )
-        from service.offline.sisters import Population
+        from service.offline.population_file import Population
         from service.offline.tables import check_writable, read_recording
         from service.site.machines.machine import Machine
 
@@ -157,7 +157,7 @@ def identify(
         recording = read_recording(data, machine.network)
         began = time.monotonic()
         try:
-            with _progress_bar() as tell:
+            with _progress_bar() as report:
                 found = identify_recording(
                     recording,
                     machine=machine,
@@ -170,7 +170,7 @@ def identify(
                     else partial(
                         family.for_machine, machine, chosen.family, skip_strangers=skip_strangers
                     ),
-                    progress=tell,
+                    progress=report,
                 )
         except FailedFitError as error:
             sys.stderr.write(f"bearing-twin: {error}; {out} is not written\n")
@@ -252,7 +252,7 @@ def _named(bearing: str, known: Mapping[str, BearingSection]) -> BearingSection:
 
 
 @contextmanager
-def _progress_bar() -> Iterator["Callable[[FitProgress], None] | None"]:
+def _progress_bar() -> Iterator["Callable[[IdentificationProgress], None] | None"]:
     """Yield what to call with the progress; nothing is shown where no one watches."""
     console = make_console(stderr=True)
     if not console.is_terminal:
@@ -267,7 +267,7 @@ def _progress_bar() -> Iterator["Callable[[FitProgress], None] | None"]:
     with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task("preparing", total=1.0, evaluations=0)
 
-        def tell(progress: "FitProgress") -> None:
+        def report(progress: "IdentificationProgress") -> None:
             bar.update(
                 task,
                 completed=progress.fraction,
@@ -275,7 +275,7 @@ def _progress_bar() -> Iterator["Callable[[FitProgress], None] | None"]:
                 evaluations=progress.evaluations,
             )
 
-        yield tell
+        yield report
 
 
 def _print(found: "Identified", seconds: float, out: Path) -> None:
@@ -313,7 +313,7 @@ def _print(found: "Identified", seconds: float, out: Path) -> None:
     if found.sisters is not None and found.sisters.accepted:
         said = found.sisters
         console.print(
-            f"Sisters: {said.reason}; up to {said.load_n_max:.0f} N and {said.speed_rpm_max:.0f} "
+            f"Sisters: {said.reason}. Up to {said.load_n_max:.0f} N and {said.speed_rpm_max:.0f} "
             f"rpm; bands calibrated on {said.calibrated_runs} runs of theirs",
             soft_wrap=True,
         )
@@ -326,16 +326,16 @@ def _print(found: "Identified", seconds: float, out: Path) -> None:
 
 
 def _print_combinations(console: Console, found: "Identified") -> None:
-    """What the data tell, as combinations of parameters in units of their priors' spreads."""
-    told = found.identifiability
+    """What the data determine, as combinations of parameters in units of their priors' spreads."""
+    informed = found.identifiability
     table = Table("identifiability", "std over prior's", "verdict")
-    combinations = told.combinations or []
+    combinations = informed.combinations or []
     for one in combinations:
         if one.verdict != "prior only":
             table.add_row(one.combination, f"{one.std_over_prior:.2f}", one.verdict)
     console.print(table)
     console.print(
-        f"Of {len(combinations)} combinations {told.informed} are informed, "
-        f"{told.weak} weakly, {told.prior_only} rest on the prior alone; rank "
-        f"{told.rank}, condition {told.condition:.1e}"
+        f"Of {len(combinations)} combinations {informed.informed} are informed, "
+        f"{informed.weak} weakly, {informed.prior_only} rest on the prior alone; rank "
+        f"{informed.rank}, condition {informed.condition:.1e}"
     )

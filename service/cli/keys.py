@@ -43,7 +43,7 @@ def create(
     config: ConfigFile = None,
     as_json: AsJson = False,
 ) -> None:
-    """Make a key and print it; it is shown this once and kept only as a hash."""
+    """Create a key and print it; it is shown only once and stored as a hash."""
     from service.security.keys import create_key
 
     begin_file(config)
@@ -54,7 +54,7 @@ def create(
 
 @keys.command("list")
 def list_(config: ConfigFile = None, as_json: AsJson = False) -> None:
-    """List all keys by their prefixes, with role, label and the days of their life (UTC)."""
+    """List all keys by their prefixes, with role, label, creation and expiry (UTC)."""
     from rich.table import Table
 
     from service.cli.consoles import make_console

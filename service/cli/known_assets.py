@@ -17,12 +17,9 @@ if TYPE_CHECKING:
 def find_asset(settings: Settings, asset: str) -> AssetSection | None:
     """Give an asset of the file or of the store; None where there is none of this id.
 
-    Raises
-    ------
-    SettingsError
-        If what the store holds does not fit the configuration.
+    Raises `SettingsError` if what the store holds does not fit the configuration.
     """
-    from service.site.provisioning import check_asset
+    from service.site.asset_tables import check_asset
 
     for one in settings.assets:
         if one.id == asset:
@@ -32,17 +29,7 @@ def find_asset(settings: Settings, asset: str) -> AssetSection | None:
 
 
 def no_such_asset(settings: Settings, asset: str, others: Collection[str] = ()) -> SettingsError:
-    """Make the error of an asset that there is not.
-
-    Parameters
-    ----------
-    settings
-        The configuration.
-    asset
-        As it was given, with the option.
-    others
-        Further names that may be given.
-    """
+    """Make the error of an asset that there is not."""
     return SettingsError(f"{asset}: no such asset; expected one of {asset_names(settings, others)}")
 
 
@@ -64,6 +51,21 @@ def store_if_there(settings: Settings) -> "Iterator[Store | None]":
         return
     with Store.open(settings.service.database_url, settings.data_dir) as store:
         yield store
+
+
+def stored_assets_problems(settings: Settings) -> tuple[list[str], list[str]]:
+    """Say which assets of the store do not fit the configuration.
+
+    Returns the problems, one line for each with its assets, and why the store was not looked into.
+    """
+    from service.site.asset_tables import misfits
+    from service.store import StoreError
+
+    try:
+        tables = {one.id: one.table or {} for one in _provisioned(settings)}
+    except StoreError as error:
+        return [], [f"the assets in the store were not checked: {error}"]
+    return misfits(settings, tables), []
 
 
 def _provisioned(settings: Settings) -> "list[ProvisionedAsset]":

@@ -1,25 +1,20 @@
 """Commands and how they end: 0 done, 1 failure, 2 something the user can mend, 75 try again."""
 
 import sys
-from importlib.metadata import version
 from typing import Annotated
 
 import typer
 from typer.exceptions import TyperException
 
+from service import __version__
 from service.app.exits import refusals, refuse
-from service.cli.alarms import alarms
-from service.cli.assets import assets
 from service.cli.backup import backup, restore
 from service.cli.bench import virtual_bench
-from service.cli.benchmark import benchmark
 from service.cli.check import check
 from service.cli.database import db
 from service.cli.demo import demo
-from service.cli.demo_fleet import demo_fleet
-from service.cli.drift import drift
+from service.cli.example import example
 from service.cli.export_fmu import export_fmu
-from service.cli.fleet import fleet
 from service.cli.fleet_bench import virtual_fleet
 from service.cli.forecast import forecast
 from service.cli.grease import grease_renewed
@@ -27,56 +22,47 @@ from service.cli.identify import identify
 from service.cli.keys import keys
 from service.cli.many_values import with_many_values
 from service.cli.modbus_map import modbus_map
-from service.cli.notifications import notifications
-from service.cli.population import population
-from service.cli.runs import report, runs
+from service.cli.plugins import WithPlugins
 from service.cli.serve import serve
 from service.cli.simulate import simulate
-from service.cli.study import study
 from service.cli.transfer import export, import_
 from service.cli.warm_up import warm_up
+from service.feature_folders import modules
 
 app = typer.Typer(
     name="bearing-twin",
+    cls=WithPlugins,
     help="A networked digital twin for grease-lubricated rolling bearings.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 app.command()(demo)
-app.command("demo-fleet")(demo_fleet)
 app.command()(serve)
 app.command()(check)
+app.command()(example)
 app.command("virtual-bench")(virtual_bench)
 app.command("virtual-fleet")(virtual_fleet)
 app.command(cls=with_many_values("--sisters"))(identify)
-app.command()(population)
 app.command()(forecast)
 app.command()(simulate)
 app.command("export-fmu")(export_fmu)
 app.command("modbus-map")(modbus_map)
-app.command()(drift)
-app.command()(study)
-app.command()(benchmark)
 app.command("grease-renewed")(grease_renewed)
 app.command("import")(import_)
 app.command()(export)
-app.command()(runs)
-app.command()(report)
 app.command()(backup)
 app.command()(restore)
 app.command("warm-up", hidden=True)(warm_up)
-app.add_typer(assets, name="assets")
-app.add_typer(alarms, name="alarms")
-app.add_typer(fleet, name="fleet")
+for _, feature in modules("commands"):
+    feature.register(app)
 app.add_typer(keys, name="keys")
-app.add_typer(notifications, name="notifications")
 app.add_typer(db, name="db")
 
 
 def _show_version(wanted: bool) -> None:
     if wanted:
-        typer.echo(f"bearing-twin {version('bearing-twin')}")
+        typer.echo(f"bearing-twin {__version__}")
         raise typer.Exit
 
 

@@ -12,23 +12,15 @@ def with_many_values(*options: str) -> type[TyperCommand]:
     Each must be declared as a list; giving it several times does the same.
     """
 
-    class Command(TyperCommand):
+    class ManyValuesCommand(TyperCommand):
         def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
             return super().parse_args(ctx, spread(args, options))
 
-    return Command
+    return ManyValuesCommand
 
 
 def spread(arguments: Iterable[str], options: Sequence[str]) -> list[str]:
-    """Repeat an option before each of its values.
-
-    Parameters
-    ----------
-    arguments
-        Of the command line.
-    options
-        Those that take many values, such as ``--sisters``.
-    """
+    """Repeat an option before each of its values."""
     found: list[str] = []
     current = ""
     first = False

@@ -20,10 +20,13 @@ def modbus_map(
     and coils. The map version is register 1 of the running server.
     """
     # Imported here: --help should not wait for it.
-    from service.plant.modbus_server.register_map import Entry, map_of
+    from service.plant.modbus_server.register_map import Entry, map_of, without_room
     from service.spreadsheets import cell
 
-    map = map_of(load_settings(config))
+    settings = load_settings(config)
+    map = map_of(settings)
+    for line in without_room(settings):
+        sys.stderr.write(f"bearing-twin: warning: {line}\n")
     entries = map.entries()
     if as_csv:
         out = csv.writer(sys.stdout, lineterminator="\n")

@@ -17,12 +17,8 @@ def progress_bar(
 ) -> Iterator[Callable[[float, str], None]]:
     """Yield what to call with the fraction done.
 
-    Parameters
-    ----------
-    title : str
-        What is being done.
-    line_every_s : float, optional
-        Without a terminal, the wall seconds between lines on standard error; absent: no lines.
+    ``line_every_s``: without a terminal, the wall seconds between lines on standard error; absent:
+    no lines.
     """
     console = make_console(stderr=True)
     shown_s = time.monotonic()
@@ -35,7 +31,7 @@ def progress_bar(
     with Bar(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task(title, total=1.0, done="")
 
-        def tell(fraction: float, text: str) -> None:
+        def report(fraction: float, text: str) -> None:
             nonlocal shown_s
             bar.update(task, completed=fraction, done=text)
             now_s = time.monotonic()
@@ -45,4 +41,4 @@ def progress_bar(
             sys.stderr.write(f"{title}: {100 * fraction:.0f} % {text}".rstrip() + "\n")
             sys.stderr.flush()
 
-        yield tell
+        yield report

@@ -1,7 +1,6 @@
 """``bearing-twin serve``: the service of one configuration file."""
 
 import asyncio
-import gc
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,9 +9,12 @@ from typing import Annotated
 import structlog
 import typer
 
+from service.cli.errors import BadInputError
 from service.domain.sides import SideName
+from service.loading import loading
 from service.logs import configure_logging
 from service.signals import leave_tasks_behind, leave_threads_behind, stop_on_signals
+from service.site.configuration import readable_secrets
 from service.site.settings import Settings
 
 ConfigFile = Annotated[
@@ -32,7 +34,7 @@ def begin_file(config: ConfigFile) -> None:
     try:
         config.write_text(_FIRST_LINE, encoding="utf-8")
     except OSError:
-        return  # whoever reads it says that it cannot be read
+        return  # its reader says that it cannot be read
     sys.stderr.write(f"bearing-twin: {config} is new and empty; commission the bench on the page\n")
 
 
@@ -47,32 +49,44 @@ def serve(
             "dies.",
         ),
     ] = None,
+    one_process: Annotated[
+        bool,
+        typer.Option(
+            "--one-process",
+            help="Run cell, web and plant side in this process, for a debugger. Not for a plant: "
+            "callers delay the reading of devices, and nothing is started again.",
+        ),
+    ] = False,
 ) -> int:
     """Run the service: acquisition, store, live twin, REST, WebSocket and dashboard.
 
     Ends cleanly on SIGTERM or SIGINT; nothing that was accepted is lost.
     """
     # Imported here: drivers and store take a second to load, which --help should not pay.
-    from service.plant.publishers import warnings as publisher_warnings
-    from service.site.examination import load_site
+    with loading():
+        from service.plant.publishers import warnings as publisher_warnings
+        from service.site.examination import load_site
 
+    if one_process and only is not None:
+        raise BadInputError("--one-process: expected without --only")
     begin_file(config)
     settings, warnings = load_site(config)
-    warnings += tuple(f"{config}: {line}" for line in publisher_warnings(settings))
+    lines = [*publisher_warnings(settings), *readable_secrets(config)]
+    warnings += tuple(f"{config}: {line}" for line in lines)
     configure_logging()
-    status = asyncio.run(_serve(settings, warnings, only))
+    status = asyncio.run(_serve(settings, warnings, only, one_process))
     leave_threads_behind()
     return status
 
 
-async def _serve(settings: Settings, warnings: Sequence[str], only: SideName | None) -> int:
-    from service.app.serve import serve, serve_side
-    from service.app.supervisor import SideEndedError
+async def _serve(
+    settings: Settings, warnings: Sequence[str], only: SideName | None, one_process: bool
+) -> int:
+    with loading():
+        from service.app.serve import serve, serve_side
+        from service.app.supervisor import SideEndedError
 
     stop = stop_on_signals()
-    # What has been loaded stays: a garbage collection need not look through it while samples,
-    # of which every one is an object, come and go.
-    gc.freeze()
 
     def announce(address: str) -> None:
         typer.echo(address)
@@ -81,7 +95,12 @@ async def _serve(settings: Settings, warnings: Sequence[str], only: SideName | N
             _log.warning("configuration", detail=warning)
 
     try:
-        if only is None:
+        if one_process:
+            with loading():
+                from service.app.one_process import serve_in_one_process
+
+            await serve_in_one_process(settings, announce=announce, stop=stop)
+        elif only is None:
             await serve(settings, announce=announce, stop=stop)
         else:
             await serve_side(only, settings, announce=announce, stop=stop)

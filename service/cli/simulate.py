@@ -16,7 +16,7 @@ from service.offline.interruption import exit_on_signals
 
 def simulate(
     model: Annotated[
-        Path, typer.Argument(metavar="MODEL.json", help="What 'bearing-twin identify' wrote.")
+        Path, typer.Argument(metavar="MODEL.json", help="Model file from 'bearing-twin identify'.")
     ],
     profile: Annotated[
         Path,

@@ -24,7 +24,7 @@ AssetId = Annotated[str, typer.Option(help="Asset that the data belong to.")]
 
 def import_(
     file: Annotated[
-        Path, typer.Argument(metavar="FILE", help="CSV, Parquet (.parquet) or MDF 4 (.mf4).")
+        Path, typer.Argument(metavar="FILE", help="CSV, Parquet (.parquet), MDF 4 or MDF 3.")
     ],
     asset: AssetId,
     start: Annotated[
@@ -46,7 +46,7 @@ def import_(
     """Bring recorded data into the store.
 
     Columns are named as channels, or a mapping says which is which. Rows that cannot be used are
-    told with their lines and left out; the status is 2 then. Importing a file again changes
+    named with their lines and left out; the status is 2 then. Importing a file again changes
     nothing.
     """
     from service.clock import ProcessClock
@@ -62,7 +62,7 @@ def import_(
             store = stack.enter_context(
                 Store.open(settings.service.database_url, settings.data_dir)
             )
-        tell = stack.enter_context(progress_bar(f"import {file.name}", _PROGRESS_S))
+        show = stack.enter_context(progress_bar(f"import {file.name}", _PROGRESS_S))
         report = import_file(
             file,
             asset,
@@ -71,7 +71,7 @@ def import_(
             start_us=start_us,
             own_channels=channels,
             now_us=ProcessClock().now_us(),
-            progress=lambda share: tell(share, ""),
+            progress=lambda share: show(share, ""),
         )
     if as_json:
         document = {

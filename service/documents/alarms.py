@@ -5,10 +5,11 @@ from typing import Literal
 
 from pydantic import Field
 
-from service.alarms.records import duration_s
+from service.alarms.records import assets_of, duration_s
 from service.alarms.states import ACTIVE_STATES, UNACKNOWLEDGED_STATES, AlarmState
 from service.clock import DAY_US, rfc3339
 from service.documents.base import Document, Number, Page, Time, time_or_none
+from service.domain.causes import CauseKind, cause_of
 from service.store import Alarm, AlarmTransition, Annunciations
 
 #: More alarms than this in ten minutes are a flood that no one can follow.
@@ -23,11 +24,33 @@ class Peak(Document):
     time: Time
 
 
+class AlarmCause(Document):
+    """What an alarm comes of; one cause has one alarm, whatever number of assets it has."""
+
+    kind: CauseKind = Field(
+        description="A `source` that assets are read from, the `service` itself, a `machine`, or "
+        "a `step` that lies ahead of it.",
+        examples=["source"],
+    )
+    id: str = Field(
+        description="Name of the source, part of the service, or id of the asset.",
+        examples=["gateway-1"],
+    )
+
+
 class AlarmDocument(Document):
     """One alarm; states after ISA-18.2."""
 
     id: str
-    asset: str = Field(examples=["bench-1"])
+    asset: str | None = Field(
+        description="Null where it is about several: see `assets`.", examples=["bench-1"]
+    )
+    assets: list[str] = Field(
+        description="All that have it now; of one that has returned all that had it.",
+        examples=[["bench-1"]],
+    )
+    cause: AlarmCause
+    action: None = Field(description="What would clear a predicted alarm; not computed yet.")
     kind: str = Field(examples=["forecast limit"])
     channel: str = Field(
         description="Empty for an alarm of the asset as a whole.", examples=["t_inner_ring_c"]
@@ -39,7 +62,7 @@ class AlarmDocument(Document):
     priority: int = Field(ge=1, le=3, description="1 high, 2 medium, 3 low.")
     state: AlarmState = Field(examples=["UNACK"])
     active: bool = Field(description="Whether the condition is there, whatever the state.")
-    message: str = Field(examples=["Inner ring will exceed warning 90 °C"])
+    message: str = Field(examples=["Inner ring may exceed warning 90 °C, 82 %"])
     raised_at: Time | None = Field(
         description="Null for an alarm that was suppressed before it was raised."
     )
@@ -100,7 +123,8 @@ class AlarmJournalLine(Document):
         description="An event (model drift, activation) needs no response of an operator.",
     )
     alarm_id: str | None = Field(description="Null for an event.")
-    asset: str
+    asset: str | None = Field(description="Null where it is about several: see `assets`.")
+    assets: list[str]
     kind: str = Field(examples=["measured limit"])
     channel: str | None
     limit_level: str | None = Field(description="Which limit; null where there is none.")
@@ -116,7 +140,8 @@ class AlarmJournalLine(Document):
     who: str = Field(examples=["operator bt_1a2b3c4d"])
     comment: str | None
     shelved_until: Time | None
-    value: Number = Field(description="That was compared last, in the channel's unit.")
+    value: Number = Field(description="That was compared last, in `unit`.")
+    unit: str | None = Field(description="Null where nothing is compared.", examples=["°C"])
     peak: Peak | None = Field(description="Of the alarm's life up to this line.")
     duration_s: Number = Field(
         description="Process seconds from raise to return; null until it has returned."
@@ -170,9 +195,14 @@ class AlarmSummary(Document):
 
 def alarm_document(alarm: Alarm) -> AlarmDocument:
     """Show one alarm."""
+    assets = assets_of(alarm)
+    cause = cause_of(alarm.asset, alarm.kind, alarm.channel, predicted=alarm.predicted)
     return AlarmDocument(
         id=alarm.id,
-        asset=alarm.asset,
+        asset=assets[0] if len(assets) == 1 else None,
+        assets=list(assets),
+        cause=AlarmCause(kind=cause.kind, id=cause.id),
+        action=None,
         kind=alarm.kind,
         channel=alarm.channel,
         limit_level=alarm.level or None,
@@ -201,12 +231,14 @@ def alarm_document(alarm: Alarm) -> AlarmDocument:
     )
 
 
-def transition_document(line: AlarmTransition) -> AlarmJournalLine:
-    """Show one line of the journal."""
+def transition_document(line: AlarmTransition, unit: str | None) -> AlarmJournalLine:
+    """Show one line of the journal, with the unit of its alarm."""
+    assets = line.assets or (line.asset,)
     return AlarmJournalLine(
         line_class="alarm" if line.alarm_id else "event",
         alarm_id=line.alarm_id,
-        asset=line.asset,
+        asset=assets[0] if len(assets) == 1 else None,
+        assets=list(assets),
         kind=line.kind,
         channel=line.channel or None,
         limit_level=line.level or None,
@@ -219,6 +251,7 @@ def transition_document(line: AlarmTransition) -> AlarmJournalLine:
         comment=line.comment,
         shelved_until=time_or_none(line.until_us),
         value=line.value,
+        unit=unit,
         peak=_peak(line.peak_value, line.peak_at_us),
         duration_s=line.duration_s,
         message=line.message,
@@ -228,17 +261,7 @@ def transition_document(line: AlarmTransition) -> AlarmJournalLine:
 def statistics_document(
     counts: Annunciations, open_alarms: Sequence[Alarm], now_us: int
 ) -> AlarmStatistics:
-    """Put the counts of the journal and the open alarms into one document.
-
-    Parameters
-    ----------
-    counts : Annunciations
-        How often alarms called for an operator.
-    open_alarms : sequence of Alarm
-        Those that are not over.
-    now_us : int
-        Process time, UTC microseconds.
-    """
+    """Put the counts of the journal and the open alarms into one document."""
     return AlarmStatistics(
         last_10_min=counts.in_last_10_min,
         flood=counts.in_last_10_min > FLOOD_IN_10_MIN,
@@ -261,20 +284,15 @@ def alarm_summary(open_alarms: Sequence[Alarm]) -> AlarmSummary:
 
     A measured limit that is exceeded stays so while the data of its channel are lost, whatever
     people have said to its alarm.
-
-    Parameters
-    ----------
-    open_alarms : sequence of Alarm
-        Those that are not over.
     """
-    told = [one for one in open_alarms if one.state in ACTIVE_STATES | UNACKNOWLEDGED_STATES]
+    counted = [one for one in open_alarms if one.state in ACTIVE_STATES | UNACKNOWLEDGED_STATES]
     over = {one.level for one in open_alarms if one.kind == "measured limit" and one.present}
     over_limit: Literal["warning", "alarm"] | None = "warning" if "warning" in over else None
     return AlarmSummary(
-        active=sum(one.state in ACTIVE_STATES for one in told),
-        unacknowledged=sum(one.state in UNACKNOWLEDGED_STATES for one in told),
+        active=sum(one.state in ACTIVE_STATES for one in counted),
+        unacknowledged=sum(one.state in UNACKNOWLEDGED_STATES for one in counted),
         shelved=sum(one.state == AlarmState.SHLVD for one in open_alarms),
-        highest_priority=min((one.priority for one in told), default=0),
+        highest_priority=min((one.priority for one in counted), default=0),
         over_limit="alarm" if "alarm" in over else over_limit,
     )
 

@@ -59,7 +59,7 @@ class IdentificationSettings(Document):
     """What is done with new data."""
 
     ladder: Literal["observe", "suggest", "apply"] = Field(
-        description="`suggest` identifies by itself, `apply` also activates what passes the gates."
+        description="`suggest` identifies automatically; `apply` activates what passes the gates."
     )
 
 
@@ -79,7 +79,7 @@ class AssetDocument(Document):
 
     id: str = Field(examples=["bench-1"])
     name: str = Field(description="Name on the pages.", examples=["Test bench 1"])
-    group: str | None = Field(description="Null without one.", examples=["Hall A"])
+    group: str | None = Field(description="Null without one.", examples=["Line A"])
     family: str | None = Field(
         description="Machines of one type; null without one.", examples=["Axle box 2019"]
     )

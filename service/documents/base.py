@@ -31,7 +31,7 @@ Quality = Annotated[
 
 
 def is_none(value: object) -> bool:
-    """Tell whether a field has nothing to show; such a field is left out of the answer."""
+    """Whether a field has nothing to show; such a field is left out of the answer."""
     return value is None
 
 

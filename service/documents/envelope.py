@@ -133,15 +133,7 @@ def envelope_maps(
     low_risk: LowRisk,
     labels: list[str],
 ) -> EnvelopeMaps:
-    """Show an envelope; matrices have one row per load, one column per speed.
-
-    Parameters
-    ----------
-    found : Envelope
-        As it was computed.
-    made_at, model_version, low_risk, labels
-        When, with which model and for which region; and what must be said with it.
-    """
+    """Show an envelope; matrices have one row per load, one column per speed."""
     return EnvelopeMaps(
         made_at=made_at,
         model_version=model_version,
@@ -178,7 +170,7 @@ def envelope_maps(
     )
 
 
-def _limit_map(limit: "envelope.LimitMap") -> LimitMap:
+def _limit_map(limit: "envelope.LimitGrid") -> LimitMap:
     return LimitMap(
         limit_c=limit.limit_c,
         probability=_matrix(limit.probability, 4),

@@ -1,4 +1,4 @@
-"""The fleet at a glance: what needs attention first, and the state of every asset."""
+"""Summary of the fleet: what needs attention first, and the state of every asset."""
 
 from typing import Final, Literal
 
@@ -43,7 +43,7 @@ _ATTENTION = (
     "`drifted`. Null: it needs none."
 )
 MARKS: Final = (
-    "One letter for each asset, in the order of their ids: `a` over an alarm limit, `b` over a "
+    "One character for each asset, in the order of their ids: `a` over an alarm limit, `b` over a "
     "warning limit, `c` recovering, `d` alarm limit ahead, `e` warning limit ahead, `f` data lost, "
     "`g` unknown, `h` safe now and in the next step, `i` safe now, but the next step is not, or is "
     "unknown, or its model is not trusted, not identified or drifted, `j` waiting for the first "
@@ -63,11 +63,11 @@ class FleetAlarm(Document):
 
 
 class FleetAsset(Document):
-    """One asset at a glance."""
+    """Summary of one asset."""
 
     id: str = Field(examples=["bench-1"])
     name: str = Field(description="Name on the pages.", examples=["Test bench 1"])
-    group: str | None = Field(description="Null without one.", examples=["Hall A"])
+    group: str | None = Field(description="Null without one.", examples=["Line A"])
     family: str | None = Field(
         description="Machines of one type; null without one.", examples=["6016 grease-L front"]
     )
@@ -107,7 +107,10 @@ class FleetPage(Page):
         description="By state, of the assets that fit but for `state` and `attention`."
     )
     attention: int = Field(description="Of these, how many need attention.")
-    unacknowledged: int = Field(description="Their alarms that wait for an acknowledgement.")
+    unacknowledged: int = Field(
+        description="Their alarms that wait for an acknowledgement; one that several assets have "
+        "counts with each of them."
+    )
     age_s: float = Field(
         description="Wall seconds since the cell was asked about the asset that was asked about "
         "longest ago, but for those that are `unread`."

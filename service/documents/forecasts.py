@@ -144,15 +144,7 @@ def not_known_reason(half_k: float) -> str:
 def quantiles_document(
     forecast: "Forecast", names: Sequence[str] | None = None
 ) -> dict[str, Quantiles]:
-    """Quantiles by sensor and node, rounded to 0.01 K.
-
-    Parameters
-    ----------
-    forecast : Forecast
-        The forecast.
-    names : sequence of str, optional
-        The sensors and nodes; default all.
-    """
+    """Quantiles by sensor and node, rounded to 0.01 K."""
     wanted = forecast.names if names is None else names
     rows = [forecast.names.index(name) for name in wanted]
     # By name, quantile and time.
@@ -192,24 +184,10 @@ def forecast_document(
     forecast: "Forecast",
     limits: Mapping[str, Limits],
     crossings: Crossings,
-    margin: "runaway.RunawayMargin | None",
+    margin: "runaway.RunawayDistance | None",
     names: Sequence[str] | None = None,
 ) -> ForecastDocument:
-    """Show a forecast.
-
-    Parameters
-    ----------
-    forecast : Forecast
-        The forecast.
-    limits : mapping of str to Limits
-        Of the asset.
-    crossings
-        When it exceeds which limit.
-    margin : RunawayMargin or None
-        How far it is from a thermal runaway.
-    names : sequence of str, optional
-        The sensors and nodes; default all.
-    """
+    """Show a forecast."""
     return ForecastDocument(
         time_s=np.round(forecast.time_s, 3).tolist(),
         nodes=quantiles_document(forecast, names),
@@ -227,14 +205,8 @@ def forecast_document(
     )
 
 
-def margin_document(margin: "runaway.RunawayMargin | None") -> RunawayMargin | None:
-    """Show a margin to a thermal runaway; null for none, and for figures that are not finite.
-
-    Parameters
-    ----------
-    margin : RunawayMargin or None
-        As it was computed.
-    """
+def margin_document(margin: "runaway.RunawayDistance | None") -> RunawayMargin | None:
+    """Show a margin to a thermal runaway; null for none, and for figures that are not finite."""
     if margin is None:
         return None
 

@@ -108,12 +108,8 @@ def job_document(
 ) -> JobDocument:
     """Show one job.
 
-    Parameters
-    ----------
-    job : Job
-        From the store.
-    phase, seconds_left, active_fitness, convergence
-        What its worker last reported; ``convergence`` is left out where it is None.
+    Phase, seconds left, fitness and convergence are what its worker last reported; ``convergence``
+    is left out where it is None.
     """
     request = job.request
     return JobDocument(

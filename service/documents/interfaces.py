@@ -6,12 +6,12 @@ from service.documents.base import Document
 from service.documents.messages import MessageType
 
 DocumentKind = Literal[
-    "summary", "snapshot", "state", "verdict", "forecast", "facts", "machine", "glance"
+    "summary", "snapshot", "state", "verdict", "forecast", "facts", "machine", "asset_summary"
 ]
 
 
-class Publisher(Protocol):
-    """Takes live messages for whoever follows the service."""
+class LivePublisher(Protocol):
+    """Takes live messages for the clients that follow the service."""
 
     def is_followed(self, asset: str) -> bool:
         """Whether anybody wants what is going on with an asset; alarms and jobs are sent anyway."""
@@ -25,14 +25,6 @@ class Publisher(Protocol):
     ) -> object:
         """Give a message its number and hand it to all who want it; never waits.
 
-        Parameters
-        ----------
-        type : str
-            What the data are.
-        asset : str or None
-            Asset that it is about; None for the service as a whole.
-        data : Document
-            What the type of message carries; NaN and infinities become null.
-        time_us : int, optional
-            Process time of the data in microseconds; default now.
+        - ``data``: what the type of message carries; NaN and infinities become null.
+        - ``time_us``: process time of the data in microseconds; default now.
         """

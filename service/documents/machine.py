@@ -12,7 +12,7 @@ class AssetFacts(Document):
     temperature_names: list[str]
 
 
-class Point(OperatingPoint):
+class PointOfEstimate(OperatingPoint):
     """What the machine runs at."""
 
     ambient_c: float
@@ -23,7 +23,7 @@ class Estimate(Document):
     """What the live twin knows at a moment; ``machine`` is read by `twin_core.MachineState`."""
 
     machine: dict[str, object]
-    point: Point
+    point: PointOfEstimate
     time_us: int
 
 

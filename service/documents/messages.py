@@ -146,15 +146,7 @@ MESSAGES: dict[str, type[_Message]] = {
 
 
 def asyncapi_document(version: str, address: str) -> JsonSchemaValue:
-    """Describe the stream as AsyncAPI 3 does.
-
-    Parameters
-    ----------
-    version : str
-        Of the service.
-    address : str
-        Path of the stream.
-    """
+    """Describe the stream as AsyncAPI 3 does."""
     references, definitions = models_json_schema(
         [(model, "serialization") for model in MESSAGES.values()],
         ref_template="#/components/schemas/{model}",
@@ -165,9 +157,9 @@ def asyncapi_document(version: str, address: str) -> JsonSchemaValue:
             "title": "Bearing Twin: live stream",
             "version": version,
             "description": "JSON messages over WebSocket. `hello` comes first for each asset; "
-            "after a break, `resume` and `epoch` bring what was missed. Of an asset that nobody "
-            "follows, and nobody has followed for ten minutes, only `alarm` and `job` are made; "
-            "`gap` tells who resumes from before that. A client that reads slowly loses old "
+            "after a break, `resume` and `epoch` bring what was missed. Of an asset that no client "
+            "has followed for ten minutes, only `alarm` and `job` are sent; `gap` says so to a "
+            "client that resumes from before that. A client that reads slowly loses old "
             "measurements, never alarms or jobs.",
         },
         "defaultContentType": "application/json",
@@ -206,7 +198,7 @@ def asyncapi_document(version: str, address: str) -> JsonSchemaValue:
             "sendMessages": {
                 "action": "send",
                 "channel": {"$ref": "#/channels/stream"},
-                "summary": "The service sends messages to whoever opened the stream.",
+                "summary": "The service sends messages to the client that opened the stream.",
             }
         },
         "components": {

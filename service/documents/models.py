@@ -6,7 +6,6 @@ from pydantic import ConfigDict, Field
 
 from service.clock import rfc3339
 from service.documents.base import Document, Number, Page, StoredDocument, Time, is_none
-from service.documents.drift import DriftDocument
 from service.store.records import Activation, ModelVersion
 
 Verdict = Literal["informed", "weak", "prior only"]
@@ -118,6 +117,28 @@ class GatesDocument(StoredDocument):
     naive: NaiveScores
 
 
+class LawDocument(StoredDocument):
+    """Where one law of a version comes from, and what speaks for it."""
+
+    source: Literal["own", "family", "literature"] = Field(
+        description="Own: the machine's data decide it; else the more probable prior."
+    )
+    weight_family: float = Field(
+        ge=0, le=1, description="Probability that the family's law is this machine's."
+    )
+    log_bayes_factor: Number = Field(
+        description="Natural logarithm of how much more probable the family's law makes the "
+        "machine's own data than the literature's; null where no family was asked."
+    )
+    tested: bool = Field(description="Whether the machine's own data say anything about the law.")
+    settled_by: str | None = Field(
+        description="What would test it; null where it is tested.", examples=["20 min at 3300 N"]
+    )
+
+
+Laws = dict[Literal["load", "speed", "start", "housing"], LawDocument]
+
+
 class SistersDocument(StoredDocument):
     """What machines of the asset's family have given to a version."""
 
@@ -128,20 +149,88 @@ class SistersDocument(StoredDocument):
     load_n_max: float = Field(description="Heaviest load that any of them has seen, N.")
     speed_rpm_max: float = Field(description="Highest speed that any of them has seen, rpm.")
     accepted: bool = Field(
-        description="Whether the version rests on them; if not, on its own data alone."
+        description="Whether any law of the version rests on them; if not, on its own data alone."
     )
     reason: str = Field(description="Why, or why not.")
     evidence_gain: Number = Field(
         description="Natural logarithm of how much more probable they make the machine's own data."
     )
     membership: Number = Field(
-        description="Share of the family's members whose own data would be further off, 0 to 1."
+        None,
+        description="Deprecated: of versions before each law was trusted separately, the share of "
+        "the family's members whose own data would be further off; null since, see `laws`.",
+        json_schema_extra={"deprecated": True},
     )
     set_aside: dict[str, str] = Field(description="Assets that were not used, with the reason.")
     calibrated_runs: int = Field(ge=0, description="Number of sisters that calibrate the band.")
     without_them: dict[str, Interval] = Field(
         description="The parameters without sisters; empty where the version rests on its own data."
     )
+
+
+class DriftQuantity(StoredDocument):
+    """A physical quantity of a version with its 95 % interval."""
+
+    text: str
+    group: str | None = Field(description="Parameters that make it up; null: all of them.")
+    unit: str
+    value: float
+    low: float
+    high: float
+
+
+class DriftMove(StoredDocument):
+    """By how much a quantity moved, were its group the one that did; 0.1 is +10 %."""
+
+    quantity: str
+    text: str
+    change: float
+    low: float
+    high: float
+
+
+class DriftComparison(StoredDocument):
+    """Comparison with the earlier version whose operation was most similar."""
+
+    version: int = Field(ge=1)
+    shared: float = Field(ge=0, le=1, description="Part of its data that both share.")
+    alike: str = Field(description="How similar the operation of both is.")
+    statistic: float = Field(description="Squared distance of both, in standard deviations.")
+    dimensions: int
+    probability: float = Field(description="Probability of such a difference without any change.")
+    groups: dict[str, float] = Field(description="Probability of each to be what changed.")
+    moves: list[DriftMove]
+
+
+class DriftReference(StoredDocument):
+    """The operating point at which quantities are stated."""
+
+    speed_rpm: float = Field(description="rpm", examples=[3000])
+    load_n: float = Field(description="Radial load, N.", examples=[2700])
+    temperature_c: float = Field(description="Of the bearing, °C.", examples=[50])
+
+
+class DriftDocument(StoredDocument):
+    """Comparison of a version with earlier ones."""
+
+    changed: bool | None = Field(description="Null where nothing could be compared.")
+    text: str
+    point: DriftReference | None = Field(description="Where the quantities are stated.")
+    quantities: dict[str, DriftQuantity]
+    comparison: DriftComparison | None
+    sums: dict[str, Number] = Field(description="Cumulative sums of the quantities; 5 reports.")
+    creeping: list[str] = Field(description="Quantities whose sum reports a slow change.")
+
+
+NOT_COMPARED = DriftDocument(
+    changed=None,
+    text="identified before this software compared versions",
+    point=None,
+    quantities={},
+    comparison=None,
+    sums={},
+    creeping=[],
+)
 
 
 class ModelDocument(Document):
@@ -172,28 +261,15 @@ class ModelDocument(Document):
     sisters: SistersDocument | None = Field(
         description="Null where the family has taught nothing yet, or the asset has none."
     )
+    laws: Laws = Field(
+        description="Where each law comes from: how friction grows with load, with speed and "
+        "temperature, how it falls from fresh grease on, housing and films. Empty before the first "
+        "identification and for versions of older releases."
+    )
     method: Literal["noa+refine", "refine", "noa"] | None = Field(
         description="Of the identification; null for the priors."
     )
     seed: int | None
-
-
-class SisterLine(Document):
-    """What one machine of the family can teach."""
-
-    asset: str
-    machine: str = Field(description="Its bearing or network.", examples=["6016"])
-    load_n_max: float = Field(description="Heaviest load that it has seen, N.")
-    speed_rpm_max: float = Field(description="Highest speed that it has seen, rpm.")
-    minutes: int = Field(ge=0, description="Minutes of operation behind it.")
-    until: Time = Field(description="End of these data.")
-
-
-class SisterList(Document):
-    """The other machines of an asset's family that have something to teach, the farthest first."""
-
-    family: str | None = Field(description="Null: the asset belongs to no family.")
-    items: list[SisterLine]
 
 
 class ModelList(Page):
@@ -220,12 +296,8 @@ class ActivationList(Page):
 def model_document(version: ModelVersion, combinations: bool = True) -> ModelDocument:
     """Show a model version.
 
-    Parameters
-    ----------
-    version : ModelVersion
-        From the store.
-    combinations : bool
-        Whether to spell out which combinations of parameters are informed, besides how many.
+    ``combinations``: whether to spell out which combinations of parameters are informed, besides
+    how many.
     """
     stored = version.document
     identifiability = IdentifiabilityDocument.read(stored.get("identifiability"))
@@ -253,6 +325,7 @@ def model_document(version: ModelVersion, combinations: bool = True) -> ModelDoc
         else {name: Interval.model_validate(one) for name, one in paper_view.items()},
         drift=DriftDocument.read(stored.get("drift")),
         sisters=SistersDocument.read(stored.get("sisters")),
+        laws={law: LawDocument.model_validate(one) for law, one in stored.get("laws", {}).items()},
         method=stored.get("method"),
         seed=stored.get("seed"),
     )

@@ -1,4 +1,4 @@
-"""Whether the machine is safe now, and in its next step."""
+"""Whether the machine is safe now, to the end of its present step, and in its next step."""
 
 from collections.abc import Mapping
 from typing import Final, Literal
@@ -10,7 +10,7 @@ from service.documents.limits import Limit
 
 Word = Literal["safe", "not safe", "recovering", "unknown"]
 CODES: Final[Mapping[Word, int]] = {"unknown": 0, "safe": 1, "not safe": 2, "recovering": 3}
-"""Values of the tags ``verdict.now`` and ``verdict.next_step``."""
+"""Values of the tags ``verdict.now``, ``verdict.present_step`` and ``verdict.next_step``."""
 
 
 class VerdictOf(Document):
@@ -33,6 +33,14 @@ class VerdictOf(Document):
     )
 
 
+class VerdictOfPresentStep(VerdictOf):
+    """The verdict on the step in hand, and when that step ends."""
+
+    ends_at: Time | None = Field(
+        description="When the step ends by the plan; null where nothing is planned."
+    )
+
+
 class TimeToLimit(Document):
     """The limit that is exceeded first along all that is planned.
 
@@ -48,9 +56,14 @@ class TimeToLimit(Document):
 
 
 class Judgements(Document):
-    """Both verdicts, and the inputs that they lack."""
+    """The three verdicts, and the inputs that they lack."""
 
     now: VerdictOf
+    present_step: VerdictOfPresentStep = Field(
+        description="Of what is left of the present planned step; with none planned, of the "
+        "present point, held to the end of the forecast. A step that was called `not safe` stays "
+        "so until it has ended or was changed."
+    )
     next_step: VerdictOf = Field(
         description="Of the next planned step; with none planned, of the present one to its end."
     )
@@ -63,8 +76,17 @@ class Judgements(Document):
         examples=[["speed_rpm"]],
     )
 
+    @property
+    def by_name(self) -> Mapping[str, VerdictOf]:
+        """The three, as their tags are called."""
+        return {
+            "now": self.now,
+            "present_step": self.present_step,
+            "next_step": self.next_step,
+        }
+
 
 class VerdictDocument(Judgements):
-    """Whether the machine is safe now, and whether its next step is."""
+    """Whether the machine is safe now, to the end of its present step, and in its next step."""
 
     time: Time

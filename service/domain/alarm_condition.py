@@ -1,7 +1,9 @@
 """The present state of one alarm condition, as alarm kinds report it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
+
+from service.domain.causes import is_shared
 
 EventKind = Literal[
     "model drift",
@@ -12,55 +14,43 @@ EventKind = Literal[
     "grease renewed",
     "asset not followed",
     "asset followed again",
+    "change not taken",
+    "configuration not used",
 ]
 """What is worth a line in the journal, but needs no response of an operator."""
 Priority = Literal[1, 2, 3]
 
 
 # Not frozen: a frozen one takes five times as long to make, and dozens of each asset are made every
-# second. Nobody changes one.
+# second. They do not change.
 @dataclass(slots=True)
 class AlarmCondition:
     """The present truth of one alarm condition; (asset, kind, channel, level) names it.
 
-    Attributes
-    ----------
-    asset, channel : str
-        What it is about.
-    kind : str
-        Name of the alarm kind, see `service.alarm_kinds`.
-    level : str
-        The limit's level, "warning" or "alarm"; empty for a condition without levels.
-    active : bool or None
-        Whether the condition holds; None when that cannot be told (no good sample): then the
-        alarm stays as it is and its delays stand still.
-    value : float or None
-        The quantity that is compared, in ``unit``.
-    message : str
-        One line for operators.
-    priority : int
-        1 high, 2 medium, 3 low.
-    predicted : bool
-        True when this is not measured but forecast; then ``lead_time_s`` and ``probability``.
-    lead_time_s, probability : float or None
-        Process seconds until it is expected to happen, and how probable that is.
-    on_delay_s, off_delay_s : float
-        Process seconds that the condition must hold before the alarm is raised, and must be gone
-        before the alarm returns to normal.
-    limit_value : float or None
-        The upper limit that the value is compared with, in ``unit``.
-    deadband : float
-        The alarm returns only when the value is this far below the limit, in ``unit``.
-    unit : str or None
-        Unit of value, limit and deadband.
-    latched : bool
-        The alarm stays after its return to normal until it is reset.
-    re_alarm_s : float
-        An acknowledged alarm that stands this many process seconds is raised again; 0: never.
-    suppressed_reason : str or None
-        Why the alarm means nothing now (suppressed by design); None where it does.
-    covers : tuple of str
-        Channels whose alarms of the same cause are acknowledged and shelved with this one.
+    - ``kind``: name of the alarm kind, see `service.alarm_kinds`.
+    - ``level``: the limit's level, "warning" or "alarm"; empty for a condition without levels.
+    - ``active``: whether the condition holds; None when that is unknown (no good sample): then
+      the alarm stays as it is and its delays stand still.
+    - ``value``: the quantity that is compared, in ``unit``.
+    - ``priority``: 1 high, 2 medium, 3 low.
+    - ``predicted``: True when this is not measured but forecast; then ``lead_time_s`` and
+      ``probability``.
+    - ``lead_time_s``, ``probability``: process seconds until it is expected to happen, and how
+      probable that is.
+    - ``on_delay_s``, ``off_delay_s``: process seconds that the condition must hold before the alarm
+      is raised, and must be gone before the alarm returns to normal.
+    - ``limit_value``: the upper limit that the value is compared with, in ``unit``.
+    - ``deadband``: the alarm returns only when the value is this far below the limit, in ``unit``.
+    - ``unit``: unit of value, limit and deadband.
+    - ``latched``: the alarm stays after its return to normal until it is reset.
+    - ``re_alarm_s``: an acknowledged alarm that stands this many process seconds is raised again;
+      0: never.
+    - ``suppressed_reason``: why the alarm means nothing now (suppressed by design); None where it
+      does.
+    - ``covers``: channels whose alarms of the same cause are acknowledged and shelved with this
+      one.
+    - ``assets``: of a condition that many assets share: those that have it, or could have it while
+      it does not hold. ``asset`` is then the one under which its alarm is kept.
     """
 
     asset: str
@@ -83,11 +73,19 @@ class AlarmCondition:
     re_alarm_s: float = 0.0
     suppressed_reason: str | None = None
     covers: tuple[str, ...] = ()
+    assets: tuple[str, ...] = ()
+    _key: tuple[str, str, str, str] | None = field(
+        default=None, init=False, repr=False, compare=False
+    )
 
     @property
     def key(self) -> tuple[str, str, str, str]:
-        """What tells one condition from another."""
-        return self.asset, self.kind, self.channel, self.level
+        """What identifies a condition; asked for several times in each step, and made once."""
+        key = self._key
+        if key is None:
+            asset = "" if is_shared(self.kind, self.channel) else self.asset
+            self._key = key = asset, self.kind, self.channel, self.level
+        return key
 
     @property
     def in_deadband(self) -> bool:
@@ -97,3 +95,14 @@ class AlarmCondition:
             and self.limit_value is not None
             and self.limit_value - self.deadband < self.value <= self.limit_value
         )
+
+    @property
+    def holds(self) -> bool | None:
+        """Whether it holds at this moment, whatever was before; None when that is not known.
+
+        Between the thresholds an alarm that stands goes on, but nothing begins: a forecast whose
+        probability is known and does not raise does not hold.
+        """
+        if self.active is None and self.probability is not None:
+            return False
+        return self.active

@@ -21,19 +21,12 @@ class WarningAndAlarm(Protocol):
 class Guidance:
     """The texts of the rationalisation sheet for a kind, until an engineer writes better ones.
 
-    Attributes
-    ----------
-    alarm_type
-        How the alarm comes about: absolute, deviation, predicted ...
-    alarm_class
-        Group of alarms that are managed alike.
-    probable_causes, consequence_of_inaction, operator_action
-        For the operator. The action is something to do: where there is nothing to do, there is no
-        need of an alarm.
-    identification_method
-        How it was found that this alarm is needed.
-    suppression
-        When it is suppressed by design.
+    - ``alarm_type``: how the alarm comes about: absolute, deviation, predicted ...
+    - ``alarm_class``: group of alarms that are managed alike.
+    - ``probable_causes``, ``consequence_of_inaction``, ``operator_action``: for the operator. The
+      action is something to do: where there is nothing to do, there is no need of an alarm.
+    - ``identification_method``: how it was found that this alarm is needed.
+    - ``suppression``: when it is suppressed by design.
     """
 
     alarm_type: str = "calculated"
@@ -47,15 +40,7 @@ class Guidance:
 
 @dataclass(frozen=True, slots=True)
 class AlarmSubject:
-    """What of an asset says which alarms it can have.
-
-    Attributes
-    ----------
-    limits
-        Its temperature limits by channel.
-    channels
-        All that is read of it, with the source.
-    """
+    """What of an asset says which alarms it can have."""
 
     limits: Mapping[str, WarningAndAlarm]
     channels: Mapping[str, str]
@@ -75,19 +60,13 @@ class AlarmSubject:
 
 
 @dataclass(frozen=True, slots=True)
-class AlarmPoint:
+class PossibleAlarm:
     """One alarm that an asset can have, of a kind.
 
-    Attributes
-    ----------
-    channel, level
-        What it is about; the level is empty where the kind has one only.
-    pair
-        The warning and alarm that its setpoint is one of; None: it has no setpoint.
-    unit
-        Of the setpoint and the deadband.
-    deadband_key
-        Key of the deadband among the settings of the kind; empty: it has none.
+    - ``channel``, ``level``: what it is about; the level is empty where the kind has one only.
+    - ``pair``: the warning and alarm that its setpoint is one of; None: it has no setpoint.
+    - ``unit``: of the setpoint and the deadband.
+    - ``deadband_key``: key of the deadband among the settings of the kind; empty: it has none.
     """
 
     channel: str
@@ -119,4 +98,4 @@ class AlarmOverride:
 
 
 AlarmName = tuple[str, str, str]
-"""Kind, channel and level: what tells one alarm of an asset from another."""
+"""Kind, channel and level: what identifies an alarm of an asset."""

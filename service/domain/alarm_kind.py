@@ -15,17 +15,18 @@ from service.domain.alarm_condition import AlarmCondition, Priority
 from service.domain.alarm_guidance import (
     AlarmName,
     AlarmOverride,
-    AlarmPoint,
     AlarmSubject,
     Guidance,
+    PossibleAlarm,
     WarningAndAlarm,
 )
+from service.domain.causes import STALE_DATA, source_channel
 from service.domain.channels import OPERATING_CHANNELS, label
 from service.domain.section import Section
 
 DAY_S = 86_400.0
 LEVELS = ("warning", "alarm")
-STALE_DATA, SENSOR_FAULT = "stale data", "sensor fault"
+SENSOR_FAULT = "sensor fault"
 
 
 # ---------------------------------------------------------------------------------- settings
@@ -130,7 +131,7 @@ class SequentialTest(Protocol):
         """The greater of the two sums."""
 
 
-class Crossing(Protocol):
+class PredictedCrossing(Protocol):
     """How likely and when a forecast exceeds a limit."""
 
     @property
@@ -146,47 +147,32 @@ class Crossing(Protocol):
         """Seconds until 2.5 % of the members have exceeded it."""
 
 
+ForecastRecord = Callable[[str, float | None], str]
+"""Says how forecasts of a channel so many seconds ahead have done; empty: unknown."""
+
+
+def no_record(channel: str, lead_time_s: float | None) -> str:
+    """Say nothing of earlier forecasts."""
+    return ""
+
+
 @dataclass(slots=True)
 class AlarmContext:
     """What is known of an asset at one moment; what several kinds ask for is found once.
 
-    Attributes
-    ----------
-    asset : str
-        Which.
-    limits : mapping of str to WarningAndAlarm
-        Its temperature limits by channel.
-    channels : mapping of str to WithSource
-        All that is read of it.
-    readings : LatestReadings
-        The latest samples.
-    sources : SilentSources
-        Which of them have fallen silent.
-    now_us : int
-        Process time.
-    is_present : callable
-        Whether the condition of another alarm of the asset is there, delays included: takes its
-        kind, channel and level.
-    at_standstill : bool
-        Whether the machine is at standstill.
-    inputs : tuple of str
-        What the network needs of the operation besides speed, load and ambient.
-    distrust : str or None
-        Why the model's word counts for nothing now; None where it counts.
-    temperatures : sequence of str
-        The measured temperatures.
-    rates_k_per_min : mapping of str to float or None
-        How fast temperatures rise; None where that cannot be told.
-    differences_k : mapping of str to float or None
-        Measured minus the model alone, by channel; None where that cannot be told.
-    residual_tests : mapping of str to SequentialTest
-        What the observer did not expect, by channel.
-    residual_threshold : float
-        Above it such a test says that something has changed.
-    crossings : mapping
-        How likely the forecast exceeds a limit, by channel and level; of a new forecast only.
-    overrides : mapping of AlarmName to AlarmOverride
-        What single alarms have otherwise than their kind says.
+    - ``is_present``: whether the condition of another alarm of the asset is there, delays included:
+      takes its kind, channel and level.
+    - ``inputs``: what the network needs of the operation besides speed, load and ambient.
+    - ``distrust``: why the model's word counts for nothing now; None where it counts.
+    - ``rates_k_per_min``: how fast temperatures rise; None where unknown.
+    - ``differences_k``: measured minus the model alone, by channel; None where unknown.
+    - ``residual_tests``: what the observer did not expect, by channel.
+    - ``residual_threshold``: above it such a test says that something has changed.
+    - ``crossings``: how likely the forecast exceeds a limit, by channel and level; of a new
+      forecast only.
+    - ``record``: how earlier forecasts have done, for the text of a predicted alarm.
+    - ``identified``: whether the model was identified; else its forecasts raise no alarm.
+    - ``overrides``: what single alarms have otherwise than their kind says.
     """
 
     asset: str
@@ -204,7 +190,9 @@ class AlarmContext:
     differences_k: Mapping[str, float | None] = field(default_factory=dict)
     residual_tests: Mapping[str, SequentialTest] = field(default_factory=dict)
     residual_threshold: float = 0.0
-    crossings: Mapping[str, Mapping[str, Crossing]] = field(default_factory=dict)
+    crossings: Mapping[str, Mapping[str, PredictedCrossing]] = field(default_factory=dict)
+    record: ForecastRecord = no_record
+    identified: bool = True
     overrides: Mapping[AlarmName, AlarmOverride] = field(default_factory=dict)
     _values: dict[str, float | None] = field(default_factory=dict, init=False)
     _no_data: dict[str, str | None] = field(default_factory=dict, init=False)
@@ -254,16 +242,11 @@ class AlarmContext:
 
 def pairs_of(
     limits: Mapping[str, WarningAndAlarm], unit: str, deadband_key: str = ""
-) -> Iterator[AlarmPoint]:
+) -> Iterator[PossibleAlarm]:
     """Give the warning and the alarm of each channel."""
     for channel, pair in limits.items():
         for level in LEVELS:
-            yield AlarmPoint(channel, level, pair, unit, deadband_key)
-
-
-def source_channel(source: str) -> str:
-    """Name under which a whole source stands among the channels of alarms."""
-    return f"source:{source}"
+            yield PossibleAlarm(channel, level, pair, unit, deadband_key)
 
 
 # ------------------------------------------------------------------------------------ a kind
@@ -284,7 +267,7 @@ def _nothing_else(context: AlarmContext) -> Iterable[tuple[str, str]]:
     return ()
 
 
-def _no_points(subject: AlarmSubject, rule: AlarmRule) -> Iterator[AlarmPoint]:
+def _no_points(subject: AlarmSubject, rule: AlarmRule) -> Iterator[PossibleAlarm]:
     """No alarm that can be named before it comes."""
     return iter(())
 
@@ -303,28 +286,20 @@ def _over(channel: str, text: str, level: str, limit: float) -> str:
 class AlarmKind(Generic[Rule]):
     """One kind of alarm.
 
-    Attributes
-    ----------
-    name
-        As in alarms and the journal; with underscores it is the table of its settings and the
-        name of its file.
-    rule
-        Model of its settings; every key has a default.
-    conditions
-        Which conditions there are now, from the context and the settings. A condition is True,
-        False, or None where it cannot be told (no good sample): an alarm then stays as it is. No
-        condition looks at a sample that is not good.
-    suppressed
-        Why an alarm of a channel and level would mean nothing now (suppressed by design).
-    kept
-        Channels and levels that `conditions` may name later; an alarm of any other one comes from
-        an earlier configuration and is withdrawn.
-    judged
-        After each ``step`` of the live twin, or after each new ``forecast``.
-    points
-        Every alarm of the kind that an asset can have: the rows of the rationalisation sheet.
-    guidance
-        What the sheet says of the kind until an engineer writes better texts.
+    - ``name``: as in alarms and the journal; with underscores it is the table of its settings and
+      the name of its file.
+    - ``rule``: model of its settings; every key has a default.
+    - ``conditions``: which conditions there are now, from the context and the settings. A condition
+      is True, False, or None where it is unknown (no good sample): an alarm then stays as it
+      is. No condition looks at a sample that is not good.
+    - ``suppressed``: why an alarm of a channel and level would mean nothing now (suppressed by
+      design).
+    - ``kept``: channels and levels that `conditions` may name later; an alarm of any other one
+      comes from an earlier configuration and is withdrawn.
+    - ``judged``: after each ``step`` of the live twin, or after each new ``forecast``.
+    - ``points``: every alarm of the kind that an asset can have: the rows of the rationalisation
+      sheet.
+    - ``guidance``: what the sheet says of the kind until an engineer writes better texts.
     """
 
     name: str
@@ -333,7 +308,7 @@ class AlarmKind(Generic[Rule]):
     suppressed: Callable[[AlarmContext, str, str], str | None] = _never
     kept: Callable[[AlarmContext], Iterable[tuple[str, str]]] = _nothing_else
     judged: Literal["step", "forecast"] = "step"
-    points: Callable[[AlarmSubject, Rule], Iterator[AlarmPoint]] = _no_points
+    points: Callable[[AlarmSubject, Rule], Iterator[PossibleAlarm]] = _no_points
     guidance: Guidance = _NO_GUIDANCE
 
     @property
@@ -366,7 +341,8 @@ class AlarmKind(Generic[Rule]):
             rule.off_delay_s,
         )
         latched, re_alarm_s = rule.latched, rule.re_alarm_s
-        changed = context.overrides.get((self.name, channel, level))
+        overrides = context.overrides
+        changed = overrides.get((self.name, channel, level)) if overrides else None
         if changed is not None:
             priority = cast(Priority, _or(changed.priority, priority))
             on_delay_s = _or(changed.on_delay_s, on_delay_s)
@@ -415,8 +391,10 @@ class AlarmKind(Generic[Rule]):
         The message is the channel's name and the text with `level` and `limit` put in.
         """
         for level, usual in zip(LEVELS, (limits.warning, limits.alarm), strict=True):
-            changed = context.overrides.get((self.name, channel, level), _UNCHANGED)
-            limit = _or(changed.setpoint, usual)
+            limit = usual
+            if context.overrides:
+                changed = context.overrides.get((self.name, channel, level), _UNCHANGED)
+                limit = _or(changed.setpoint, usual)
             yield self.condition(
                 context,
                 rule,

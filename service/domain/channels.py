@@ -19,19 +19,11 @@ _NO_ESTIMATE = "there is no estimate and no forecast; verdicts are unknown"
 class Channel:
     """What is known of a standard channel.
 
-    Attributes
-    ----------
-    name
-        As in configuration, store and tags; the end is the unit.
-    label
-        What an operator calls it.
-    unit
-        Of its values; empty where there is none.
-    part
-        ``operation``: the operating point that the twin computes with. ``ring``: a temperature of
-        the bearing's rings. ``controller``: what the bench controller reports of itself.
-    limits_c
-        Warning and alarm limit that it has unless configured, in degrees Celsius.
+    - ``name``: as in configuration, store and tags.
+    - ``part``: ``operation``: measured of the drive. ``ring``: a temperature of the bearing's
+      rings. ``controller``: what the bench controller reports of itself. Models compute with
+      `OPERATING_CHANNELS` and `RING_SENSORS`; other rows are stored, shown and watched.
+    - ``limits_c``: warning and alarm limit that it has unless configured, in degrees Celsius.
     """
 
     name: str
@@ -61,9 +53,16 @@ def _names(part: Part) -> tuple[str, ...]:
     return tuple(one.name for one in STANDARD if one.part == part)
 
 
-SPEED, LOAD, AMBIENT = OPERATING_CHANNELS = _names("operation")
+SPEED, LOAD, AMBIENT = OPERATING_CHANNELS = ("speed_rpm", "load_n", "ambient_c")
 """The operating point, in the order in which models take it."""
-RING_SENSORS = _names("ring")
+RING_SENSORS = ("t_inner_ring_c", "t_outer_ring_c")
+"""The temperatures of a bearing that models compare themselves with."""
+OBSERVED_CHANNELS = tuple(
+    name
+    for name in (*_names("operation"), *_names("ring"))
+    if name not in (*OPERATING_CHANNELS, *RING_SENSORS)
+)
+"""Standard channels of the machine that no model computes with."""
 CONTROLLER_CHANNELS = _names("controller")
 NODES = tuple(f"t_node_{number}_c" for number in range(1, 14))
 """Temperatures inside the bearing that the 14-node network estimates and that may be measured."""
@@ -80,12 +79,19 @@ def label(channel: str) -> str:
 def unit_of(name: str) -> str:
     """Unit of a channel or of a tag of it such as ``t_inner_ring_c.twin``; empty without one."""
     channel = name.partition(".")[0]
+    if channel in _BY_NAME:
+        return _BY_NAME[channel].unit
     return _UNITS.get(channel[channel.rfind("_") :], "") if "_" in channel else ""
 
 
 def is_temperature(name: str) -> bool:
     """Whether a channel is a temperature of the machine (not of its surroundings)."""
     return name.startswith("t_") and name.endswith("_c")
+
+
+def is_modelled(name: str) -> bool:
+    """Whether a channel is a temperature that models compute."""
+    return name.startswith("t_") and name not in OBSERVED_CHANNELS
 
 
 def importance(channel: str) -> int:
@@ -102,15 +108,10 @@ def importance(channel: str) -> int:
 class ChannelNeed:
     """How much a channel is needed.
 
-    Attributes
-    ----------
-    channel
-        Name, or what stands for several names.
-    need
-        ``required``: without it there is no estimate. ``recommended``: without it something is
-        assumed. ``optional``: without it something is not shown.
-    without
-        What happens without it.
+    - ``channel``: name, or what stands for several names.
+    - ``need``: ``required``: without it there is no estimate. ``recommended``: without it something
+      is assumed. ``optional``: without it something is not shown.
+    - ``without``: what happens without it.
     """
 
     channel: str
@@ -144,13 +145,7 @@ CHANNEL_NEEDS = (
 
 
 def missing_channels(channels: Collection[str]) -> list[ChannelNeed]:
-    """Return what is required or recommended and not there.
-
-    Parameters
-    ----------
-    channels
-        Names of the asset's channels.
-    """
-    measured = any(name.startswith("t_") for name in channels)
+    """Return what is required or recommended and not there."""
+    measured = any(is_modelled(name) for name in channels)
     there = {*channels, *([TEMPERATURE] if measured else [])}
     return [one for one in CHANNEL_NEEDS if one.need != "optional" and one.channel not in there]

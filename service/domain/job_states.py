@@ -14,24 +14,24 @@ JobEvent = Literal["start", "progress", "interrupt", "succeed", "fail", "cancel"
 
 
 @dataclass(frozen=True, slots=True)
-class Transition:
+class JobTransition:
     """What an event does to a job: from any of these states into that one."""
 
     before: tuple[JobStatus, ...]
     after: JobStatus
 
 
-TRANSITIONS = MappingProxyType[JobEvent, Transition](
+TRANSITIONS = MappingProxyType[JobEvent, JobTransition](
     {
         # Also the next attempt, after a worker that died.
-        "start": Transition(("queued", "running"), "running"),
-        "progress": Transition(("running",), "running"),
+        "start": JobTransition(("queued", "running"), "running"),
+        "progress": JobTransition(("running",), "running"),
         # The service stops, or was killed: the job waits for the next start.
-        "interrupt": Transition(("running",), "queued"),
+        "interrupt": JobTransition(("running",), "queued"),
         # Also of a job whose result was stored before the service was killed.
-        "succeed": Transition(("queued", "running"), "succeeded"),
-        "fail": Transition(("queued", "running"), "failed"),
-        "cancel": Transition(("queued", "running"), "cancelled"),
+        "succeed": JobTransition(("queued", "running"), "succeeded"),
+        "fail": JobTransition(("queued", "running"), "failed"),
+        "cancel": JobTransition(("queued", "running"), "cancelled"),
     }
 )
 

@@ -2,8 +2,10 @@
 
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 from typing_extensions import TypeAliasType
+
+from service.domain.upload_limits import small_enough
 
 Json = TypeAliasType(
     "Json",
@@ -11,3 +13,6 @@ Json = TypeAliasType(
     "| dict[str, Json] | None",
 )
 """Any JSON value without infinities."""
+
+Table = Annotated[dict[str, Json], BeforeValidator(small_enough)]
+"""A table of the configuration, no larger than a hand would write it."""

@@ -13,5 +13,5 @@ class Section(BaseModel):
     )
 
     def __deepcopy__(self, memo: dict[int, Any] | None = None) -> Self:
-        """Give the same: thousands of assets share the defaults, which nobody can change."""
+        """Give the same: thousands of assets share the defaults, which cannot be changed."""
         return self

@@ -10,17 +10,14 @@ from service.clock import from_rfc3339, rfc3339
 _RFC3339 = re.compile(
     r"\d{4}-\d{2}-\d{2}[Tt ]\d{2}:\d{2}:\d{2}(\.\d{1,9})?(?P<offset>[Zz]|[+-]\d{2}:\d{2})?"
 )
-_LATEST_US = 32_503_680_000_000_000  # the year 3000
+LATEST_US = 32_503_680_000_000_000  # the year 3000
 _FRACTION = re.compile(r"(\.\d{1,6})\d*")
 
 
 def parse_time(text: Any) -> int:
     """RFC 3339 text with an offset as UTC microseconds.
 
-    Raises
-    ------
-    ValueError
-        If it is anything else; the text says what was expected.
+    Raises `ValueError` if it is anything else; the text says what was expected.
     """
     if not isinstance(text, str):
         raise ValueError("expected an RFC 3339 time such as 2026-11-21T08:00:00Z")
@@ -35,7 +32,7 @@ def parse_time(text: Any) -> int:
         time_us = from_rfc3339(_FRACTION.sub(r"\1", repaired.upper()))
     except (ValueError, OverflowError) as error:
         raise ValueError("expected a time that exists, such as 2026-11-21T08:00:00Z") from error
-    if not 0 <= time_us < _LATEST_US:
+    if not 0 <= time_us < LATEST_US:
         raise ValueError("expected a time from 1970 to 2999")
     return time_us
 

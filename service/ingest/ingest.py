@@ -13,7 +13,8 @@ from prometheus_client import CollectorRegistry
 
 from adapters.backoff import Backoff
 from adapters.protocol import Clock, Driver
-from adapters.samples import Batch, Quality, Sample, is_good
+from adapters.samples import Batch, Sample, is_good
+from service.ingest.gaps import Gaps
 from service.ingest.metrics import SampleLedger, SourceMetrics, watch_queues
 from service.ingest.quality import QualityChecks
 from service.ingest.spool import Spool
@@ -23,8 +24,8 @@ from service.store import Store, StoreUnavailableError, WriteCounts
 #: Wall seconds before a driver that failed is started again: first, and at most.
 RESTART_FIRST_S = 1.0
 RESTART_LAST_S = 30.0
-#: Pushed samples that are looked at in one go.
-PORTION = 250
+#: Pushed samples that are judged in one go, and those that the twins get in one go: half a ms each.
+PORTION, BATCH = 500, 200
 #: Wall seconds that a store which does not answer is given when the service stops.
 DRAIN_S = 5.0
 _BEAT_S = 0.25
@@ -46,21 +47,9 @@ class Ingest:
     the drivers nor the twins. While the store is away samples wait in the spool on the disk.
     Every accepted sample is accounted for, see `counts`.
 
-    Parameters
-    ----------
-    store : Store or None
-        Where the samples go; None while it is not open yet, see `attach`.
-    spool : Spool
-        Where they wait on the disk while the store is away.
-    clock : Clock
-        Process time.
-    on_batch : callable
-        Gets every batch of a driver, and pushed samples as a batch, in the event loop. It must
-        return quickly; what it raises is logged and does not hold up the samples.
-    registry : prometheus_client.CollectorRegistry
-        Where the metrics are shown.
-    checks : QualityChecks, optional
-        What every sample from outside must stand to be taken for good.
+    - ``on_batch``: gets every batch of a driver, and pushed samples as a batch, in the event loop.
+      It must return quickly; what it raises is logged and does not hold up the samples.
+    - ``checks``: what every sample from outside must stand to be taken for good.
     """
 
     def __init__(
@@ -75,7 +64,6 @@ class Ingest:
     ) -> None:
         self._store = store
         self._checks = checks or QualityChecks({}, registry)
-        self._spool = spool
         self._clock = clock
         self._on_batch = on_batch
         self._ledger = SampleLedger(registry)
@@ -89,12 +77,7 @@ class Ingest:
         self._pumps: dict[str, asyncio.Task[None]] = {}
         # Drivers that replace one which still reads.
         self._beginning: set[Driver] = set()
-        # Where channels ended in the last run; what waits on the spool is newer than the store.
-        ends = spool.newest()
-        self._unmarked_gaps = {name: end_us for name, end_us in ends.items() if end_us is not None}
-        # First times of this run, of channels whose end only the store knows.
-        self._known_ends = set(ends)
-        self._first_us: dict[tuple[str, str], int] = {}
+        self._gaps = Gaps(spool.newest())
 
     @property
     def problem(self) -> str | None:
@@ -118,7 +101,7 @@ class Ingest:
     @property
     def spooled(self) -> int:
         """Samples that wait in the spool."""
-        return len(self._spool)
+        return self._writer.spooled
 
     def counts(self) -> Mapping[str, int]:
         """Count the samples accepted, and of those the stored, duplicate, skipped and waiting."""
@@ -128,11 +111,7 @@ class Ingest:
         """Pump every driver until cancelled; then stop them and store everything accepted.
 
         A driver that fails is logged and entered again after a growing wait; it must allow that.
-
-        Parameters
-        ----------
-        drivers : sequence of Driver
-            Not entered yet. May be empty when samples are only pushed.
+        May be empty when samples are only pushed.
         """
         if self._store is not None:
             self.attach(self._store, await asyncio.to_thread(self._store.samples.open_ends))
@@ -159,13 +138,6 @@ class Ingest:
         The new one reads before the old one ends, so that no poll is missing; a device that takes
         one connection only gets that of the new one a moment later. Until then what the new one
         cannot read is no loss: the old one reads it.
-
-        Parameters
-        ----------
-        name
-            Of the source.
-        driver
-            Not entered yet.
         """
         old = self._pumps.pop(name, None)
         if driver is None:
@@ -191,40 +163,24 @@ class Ingest:
     async def accept(self, samples: Sequence[Sample]) -> WriteCounts:
         """Take pushed samples: the live twins get them, and they are on the disk at the end.
 
-        Parameters
-        ----------
-        samples : sequence of Sample
-            In any order. Sending the same again is harmless.
-
-        Raises
-        ------
-        StoreUnavailableError
-            If none of them was stored, or is going to be; send them again later.
+        Sending the same again is harmless. Raises `StoreUnavailableError` if none of them was
+        stored, or is going to be; send them again later.
         """
-        return await (await self.take_in(samples))
+        # The checks compare each sample with the one before; a gateway may send them in any order.
+        return await (await self.take_in(sorted(samples, key=attrgetter("time_us"))))
 
     async def take_in(
         self, samples: Sequence[Sample], patience_s: float = math.inf
     ) -> Awaitable[WriteCounts]:
         """Take pushed samples: the live twins have them, and they are on their way to the store.
 
-        Parameters
-        ----------
-        samples : sequence of Sample
-            In any order.
-        patience_s : float
-            Wall seconds that they may wait for their turn; once they are being written the end
-            of that is waited for.
-
-        Returns
-        -------
-        awaitable of WriteCounts
-            Done when they are on the disk; fails as `accept` does.
+        Those of a channel come in the order of their times.
+        ``patience_s``: wall seconds that they may wait for their turn; once they are being written
+        the end of that is waited for. The awaitable is done when they are on the disk; it fails as
+        `accept` does.
         """
         if not samples:
             return _nothing()
-        # The checks compare each sample with the one before; a gateway may send them in any order.
-        samples = sorted(samples, key=attrgetter("time_us"))
         judged: list[Sample] = []
         async with self._accepting:
             # In portions: a poll that is due meanwhile comes between two of them.
@@ -232,7 +188,7 @@ class Ingest:
                 judged += self._checks.judge(samples[begin : begin + PORTION])
                 await asyncio.sleep(0)
             try:
-                written = self._writer.put_and_tell(judged)
+                written = self._writer.put_with_result(judged)
             except StoreUnavailableError:
                 self._retry_after_s = self._push_backoff.next()
                 raise
@@ -259,8 +215,8 @@ class Ingest:
         return counts
 
     async def _hand_over_portions(self, samples: Sequence[Sample]) -> None:
-        for begin in range(0, len(samples), PORTION):
-            self._hand_over(Batch(list(samples[begin : begin + PORTION])))
+        for begin in range(0, len(samples), BATCH):
+            self._hand_over(Batch(list(samples[begin : begin + BATCH])))
             await asyncio.sleep(0)
 
     def has_gone_on(self) -> bool:
@@ -280,38 +236,18 @@ class Ingest:
     def attach(self, store: Store, ends: Mapping[tuple[str, str], int]) -> None:
         """Store samples from now on, those on the spool first.
 
-        Parameters
-        ----------
-        store : Store
-            Where samples go.
-        ends : mapping
-            Its `open_ends`, read before anything of this run is stored.
+        ``ends``: its `open_ends`, read before anything of this run is stored.
         """
-        for channel, last_us in ends.items():
-            if channel in self._known_ends:
-                continue
-            first_us = self._first_us.get(channel)
-            if first_us is None:
-                self._unmarked_gaps[channel] = last_us
-            else:
-                self.submit(self._gap_marks({channel: (last_us, first_us)}))
-        self._known_ends |= ends.keys()
-        self._first_us = {}
-        self._store = store
+        self.submit(self._gaps.closed_by_store(ends, self._clock.now_us()))
         self._writer.attach(store)
 
     def expect(self, ends: Mapping[tuple[str, str], int]) -> None:
         """Mark the gap behind these last times of channels when their next samples come."""
-        self._unmarked_gaps |= ends
+        self._gaps.expect(ends)
 
     def expect_no_more(self, assets: Collection[str] | None = None) -> None:
         """Mark no gaps of these assets, or of any: somebody else reads them."""
-        gone = None if assets is None else set(assets)
-        self._unmarked_gaps = {
-            channel: end_us
-            for channel, end_us in self._unmarked_gaps.items()
-            if gone is not None and channel[0] not in gone
-        }
+        self._gaps.forget(assets)
 
     async def _pump(self, driver: Driver) -> None:
         backoff = Backoff(RESTART_FIRST_S, RESTART_LAST_S)
@@ -334,8 +270,8 @@ class Ingest:
 
     def _take(self, batch: Batch) -> None:
         if batch.samples:
-            if self._unmarked_gaps or self._store is None:
-                self._mark_gaps(batch.samples)
+            if self._gaps.may_close:
+                self.submit(self._gaps.closed_by(batch.samples, self._clock.now_us()))
             judged = self._checks.judge(batch.samples)
             if judged is not batch.samples:
                 batch = replace(batch, samples=list(judged))
@@ -348,30 +284,6 @@ class Ingest:
         except Exception:
             # A fault in a twin must not cost the samples that the next poll would bring.
             _log.exception("batch_not_taken", samples=len(batch.samples), plans=len(batch.plans))
-
-    def _mark_gaps(self, samples: Sequence[Sample]) -> None:
-        """Close what the last run left open: from there to now nothing was recorded.
-
-        Without the mark a reader would draw a line from the last value before the service was
-        away to the first one after.
-        """
-        gaps = {}
-        for sample in samples:
-            channel = sample.asset, sample.channel
-            if self._store is None and channel not in self._known_ends:
-                self._first_us.setdefault(channel, sample.time_us)
-            last_us = self._unmarked_gaps.pop(channel, None)
-            if last_us is not None:
-                gaps[channel] = last_us, sample.time_us
-        self.submit(self._gap_marks(gaps))
-
-    def _gap_marks(self, gaps: Mapping[tuple[str, str], tuple[int, int]]) -> list[Sample]:
-        now_us = self._clock.now_us()
-        return [
-            Sample(asset, channel, last_us + 1, float("nan"), Quality.OUT_OF_SERVICE, now_us)
-            for (asset, channel), (last_us, first_us) in gaps.items()
-            if last_us + 1 < first_us
-        ]
 
 
 def _has_good(batch: Batch) -> bool:

@@ -1,4 +1,4 @@
-"""What ingest tells Prometheus."""
+"""Metrics of ingest for Prometheus."""
 
 import math
 import threading
@@ -38,11 +38,6 @@ class SampleLedger:
 
     The four always add up to the accepted ones, also in the middle of a scrape: that is why these
     are not separate counters.
-
-    Parameters
-    ----------
-    registry : prometheus_client.CollectorRegistry
-        Where the figures are shown.
     """
 
     def __init__(self, registry: CollectorRegistry) -> None:
@@ -166,6 +161,15 @@ def watch_late(late: Callable[[], Mapping[str, int]], registry: CollectorRegistr
     registry.register(_ByAsset(CounterMetricFamily, f"{_PREFIX}_late", text, late))
 
 
+def watch_outbox(waiting: Callable[[], int], registry: CollectorRegistry) -> None:
+    """Show how much waits for the store."""
+    Gauge(
+        "bearing_twin_outbox_changes",
+        "Alarm changes and audit lines that wait for the store, in memory or on the disk.",
+        registry=registry,
+    ).set_function(waiting)
+
+
 def watch_damage(
     files: Mapping[str, Callable[[], Mended | None]],
     changes_lost: Callable[[], int],
@@ -230,13 +234,7 @@ class _ByAsset:
 
 
 class SourceMetrics:
-    """Poll times, state and counts of the sources, as their drivers see them at each scrape.
-
-    Parameters
-    ----------
-    registry : prometheus_client.CollectorRegistry
-        Where the figures are shown.
-    """
+    """Poll times, state and counts of the sources, as their drivers see them at each scrape."""
 
     def __init__(self, registry: CollectorRegistry) -> None:
         self.poll_seconds = Histogram(
@@ -280,6 +278,7 @@ class SourceMetrics:
             up.add_metric([health.name], float(health.up))
             for name, counter in counters.items():
                 counter.add_metric([health.name], getattr(health, name))
-            for kind, count in health.errors.items():
+            # The first one is seen as an increase, whatever the driver.
+            for kind, count in ({"connect": 0} | health.errors).items():
                 errors.add_metric([health.name, kind], count)
         return [up, *counters.values(), errors]

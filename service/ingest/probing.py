@@ -30,12 +30,8 @@ class ProbedSource:
 class ProbedChannel:
     """The value of a channel; ``value`` and ``age_s`` are None where there is none.
 
-    Attributes
-    ----------
-    quality
-        OPC DA byte; None where no sample came.
-    detail
-        Why the value is not good, or what a pushed channel waits for; else empty.
+    - ``quality``: OPC DA byte; None where no sample came.
+    - ``detail``: why the value is not good, or what a pushed channel waits for; else empty.
     """
 
     asset: str
@@ -113,15 +109,7 @@ class Probe:
 
 
 async def probe(wiring: Wiring, limit_s: float = PROBE_WALL_S) -> Probe:
-    """Connect to every source, side by side, and read each channel once.
-
-    Parameters
-    ----------
-    wiring
-        Sources and channels.
-    limit_s
-        Wall seconds that a source may take.
-    """
+    """Connect to every source, side by side, and read each channel once."""
     clock = ProcessClock()
     answers = await asyncio.gather(*(_ask(source, clock, limit_s) for source in wiring.sources))
     latest = {key: sample for answer in answers for key, sample in answer.latest.items()}

@@ -8,6 +8,7 @@ its value, shown with the reason and counted, but no mean, fit or estimate takes
 import math
 import time
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from operator import itemgetter
 from typing import NamedTuple
 
@@ -27,6 +28,9 @@ FLAT_SAMPLES = 5
 #: Below this speed in rpm a flat line is no fault. Higher than the twin's `STANDING_RPM`: a machine
 #: that turns so slowly makes hardly any heat, and its temperatures may stay the same for hours.
 AT_REST_RPM = 30.0
+
+#: What a check can find.
+REASONS = ("range", "jump", "rate", "flat_line")
 
 _CLOCK_SET_BACK_US = 1_000_000
 _REMEMBERED = 1000
@@ -53,8 +57,108 @@ class _Machine:
         self.turns = False
 
 
+class _Findings(NamedTuple):
+    """What the checks of a channel can find."""
+
+    range: Finding
+    jump: Finding
+    rate: Finding
+    flat: Finding
+
+
+@lru_cache(maxsize=1024)
+def _findings(limits: CheckLimits) -> _Findings:
+    """Give what checks with these limits can find: the same for all channels that have them."""
+    return _Findings(
+        Finding(
+            "range",
+            Quality.EU_EXCEEDED,
+            f"outside the valid range {limits.low:g} to {limits.high:g}",
+        ),
+        Finding(
+            "jump",
+            Quality.SENSOR_NOT_ACCURATE,
+            f"jumped by more than {limits.max_jump:g} from one sample to the next",
+        ),
+        Finding(
+            "rate", Quality.UNCERTAIN, f"changes faster than {limits.max_rate_per_s:g} per second"
+        ),
+        Finding(
+            "flat_line", Quality.FROZEN, f"frozen: the same value for {limits.flat_line_s:g} s"
+        ),
+    )
+
+
+class _Level:
+    """The level that a channel is at, and another one until enough samples agree on it."""
+
+    __slots__ = ("_max_jump", "_per_us", "_suspect", "_suspect_us", "_suspects", "time_us", "value")
+
+    def __init__(self, limits: CheckLimits) -> None:
+        self.value: float | None = None
+        self.time_us = 0
+        self._max_jump = limits.max_jump
+        # Without a limit on the rate a jump is judged alone.
+        rate_per_s = limits.max_rate_per_s
+        self._per_us = 0.0 if math.isinf(rate_per_s) else rate_per_s / 1e6
+        self._suspect, self._suspect_us, self._suspects = 0.0, 0, 0
+
+    def set(self, time_us: int, value: float) -> None:
+        self.value, self.time_us, self._suspects = value, time_us, 0
+
+    def is_far(self, level: float, time_us: int, value: float) -> bool:
+        reach = self._max_jump + self._per_us * (time_us - self.time_us)
+        return abs(value - level) > reach
+
+    def confirms(self, time_us: int, value: float) -> bool:
+        """Whether enough samples in a row agree on a level that is far from the last one."""
+        reach = self._max_jump + self._per_us * (time_us - self._suspect_us)
+        agrees = self._suspects and abs(value - self._suspect) <= reach
+        self._suspects = self._suspects + 1 if agrees else 1
+        self._suspect, self._suspect_us = value, time_us
+        return self._suspects >= CONFIRMING_SAMPLES
+
+
+class _Slope:
+    """How fast a channel changes, over the window or a little more."""
+
+    __slots__ = ("_max_per_us", "_newer", "_older")
+
+    def __init__(self, limits: CheckLimits) -> None:
+        self._max_per_us = limits.max_rate_per_s / 1e6
+        self.begin(0, 0.0)
+
+    def begin(self, time_us: int, value: float) -> None:
+        self._older = self._newer = time_us, value
+
+    def is_too_steep(self, time_us: int, value: float) -> bool:
+        older = self._older
+        elapsed_us = time_us - older[0]
+        if time_us - self._newer[0] >= RATE_WINDOW_S * 1e6:
+            self._older, self._newer = self._newer, (time_us, value)
+        if elapsed_us < RATE_WINDOW_S * 1e6:
+            return False
+        return abs(value - older[1]) > self._max_per_us * elapsed_us
+
+
 class _Channel:
     """Checks of one channel, with what they remember of it. Times in microseconds."""
+
+    __slots__ = (
+        "_findings",
+        "_flat_us",
+        "_found",
+        "_is_speed",
+        "_level",
+        "_received_us",
+        "_same_us",
+        "_slope",
+        "_time_us",
+        "limits",
+        "machine",
+        "quiet_until_s",
+        "reason",
+    )
 
     def __init__(self, limits: CheckLimits, machine: _Machine, is_speed: bool) -> None:
         self.reason = ""
@@ -62,26 +166,8 @@ class _Channel:
         self.limits = limits
         self.machine = machine
         self._is_speed = is_speed
-        self._rate_per_us = limits.max_rate_per_s / 1e6
-        # Without a limit on the rate a jump is judged by itself.
-        self._allowed_per_us = 0.0 if math.isinf(self._rate_per_us) else self._rate_per_us
         self._flat_us = limits.flat_line_s * 1e6
-        self._range = Finding(
-            "range",
-            Quality.EU_EXCEEDED,
-            f"outside the valid range {limits.low:g} to {limits.high:g}",
-        )
-        self._jump = Finding(
-            "jump",
-            Quality.SENSOR_NOT_ACCURATE,
-            f"jumped by more than {limits.max_jump:g} from one sample to the next",
-        )
-        self._rate = Finding(
-            "rate", Quality.UNCERTAIN, f"changes faster than {limits.max_rate_per_s:g} per second"
-        )
-        self._flat = Finding(
-            "flat_line", Quality.FROZEN, f"frozen: the same value for {limits.flat_line_s:g} s"
-        )
+        self._findings = _findings(limits)
         # Recent findings, so that a sample which is sent again gets the same one again.
         self._found: dict[int, Finding] = {}
         self._received_us = 0
@@ -89,14 +175,11 @@ class _Channel:
 
     def _forget(self) -> None:
         self._time_us = -1
-        self._level: float | None = None
-        self._level_us = 0
-        self._suspect, self._suspect_us, self._suspects = 0.0, 0, 0
-        self._anchors: tuple[tuple[int, float], tuple[int, float]] | None = None
+        self._level, self._slope = _Level(self.limits), _Slope(self.limits)
         self._same_us = 0.0
 
     def judge(self, sample: Sample) -> Finding | None:
-        """Tell what is wrong with a sample that its source calls good."""
+        """Say what is wrong with a sample that its source calls good."""
         _, _, time_us, value, _, received_us = sample
         if time_us <= self._time_us:
             if received_us >= self._received_us - _CLOCK_SET_BACK_US:
@@ -114,61 +197,33 @@ class _Channel:
         return finding
 
     def _outside(self, value: float) -> Finding | None:
-        return None if self.limits.low <= value <= self.limits.high else self._range
+        return None if self.limits.low <= value <= self.limits.high else self._findings.range
 
     def _examine(self, time_us: int, value: float) -> Finding | None:
-        level, elapsed_us = self._level, time_us - self._level_us
-        if level is None:
-            self._begin(time_us, value)
+        last = self._level
+        level, elapsed_us = last.value, time_us - last.time_us
+        if level is None or last.is_far(level, time_us, value):
+            if level is not None and not last.confirms(time_us, value):
+                return self._findings.jump
+            last.set(time_us, value)
+            self._slope.begin(time_us, value)
+            self._same_us = 0.0
             return None
-        reach = self.limits.max_jump
-        if abs(value - level) > reach + self._allowed_per_us * elapsed_us:
-            near = reach + self._allowed_per_us * (time_us - self._suspect_us)
-            agrees = self._suspects and abs(value - self._suspect) <= near
-            self._suspects = self._suspects + 1 if agrees else 1
-            self._suspect, self._suspect_us = value, time_us
-            if self._suspects < CONFIRMING_SAMPLES:
-                return self._jump
-            self._begin(time_us, value)
-            return None
-        self._suspects = 0
-        self._level, self._level_us = value, time_us
-        if self._changes_too_fast(time_us, value):
-            return self._rate
+        last.set(time_us, value)
+        if self._slope.is_too_steep(time_us, value):
+            return self._findings.rate
         if value == level and self.machine.turns:
             # A gap, or a clock that was set, is no proof that a value stood still.
             self._same_us += min(elapsed_us, self._flat_us / FLAT_SAMPLES)
-            return self._flat if self._same_us >= self._flat_us else None
+            return self._findings.flat if self._same_us >= self._flat_us else None
         self._same_us = 0.0
         return None
-
-    def _begin(self, time_us: int, value: float) -> None:
-        self._level, self._level_us = value, time_us
-        self._suspects = 0
-        self._anchors = ((time_us, value), (time_us, value))
-        self._same_us = 0.0
-
-    def _changes_too_fast(self, time_us: int, value: float) -> bool:
-        if self._anchors is None:
-            return False
-        older, newer = self._anchors
-        elapsed_us = time_us - older[0]
-        if time_us - newer[0] >= RATE_WINDOW_S * 1e6:
-            self._anchors = (newer, (time_us, value))
-        if elapsed_us < RATE_WINDOW_S * 1e6:
-            return False
-        return abs(value - older[1]) > self._rate_per_us * elapsed_us
 
 
 class QualityChecks:
     """The one place that every sample from outside passes, whatever way it came.
 
-    Parameters
-    ----------
-    limits : mapping of (str, str) to CheckLimits
-        By asset and channel; a channel that is not in it passes.
-    registry : prometheus_client.CollectorRegistry
-        Where the findings are counted.
+    A channel without limits passes.
     """
 
     def __init__(
@@ -187,6 +242,9 @@ class QualityChecks:
             ["asset", "channel", "reason"],
             registry=registry,
         )
+        # A chart by reason is there before the first of them; of each channel it would be too many.
+        for kind in REASONS:
+            self._counter.labels("", "", kind)
 
     def set_limits(self, asset: str, limits: Mapping[str, CheckLimits]) -> None:
         """Check an asset's channels by these limits from now on; a channel without any passes.
@@ -213,10 +271,7 @@ class QualityChecks:
     def judge(self, samples: Sequence[Sample]) -> Sequence[Sample]:
         """Return the samples, those that fail a check with a quality that says so.
 
-        Parameters
-        ----------
-        samples : sequence of Sample
-            In the order of their times, as far as the source knows it.
+        They come in the order of their times, as far as the source knows it.
         """
         if not self._channels:
             return samples
@@ -233,7 +288,7 @@ class QualityChecks:
             reason = "" if finding is None else finding.reason
             if reason != channel.reason:
                 channel.reason = reason
-                _tell(channel, sample)
+                _log_finding(channel, sample)
         return samples if judged is None else judged
 
     def reason(self, asset: str, channel: str) -> str:
@@ -242,7 +297,7 @@ class QualityChecks:
         return "" if found is None else found.reason
 
 
-def _tell(channel: _Channel, sample: Sample) -> None:
+def _log_finding(channel: _Channel, sample: Sample) -> None:
     now_s = time.monotonic()
     if now_s >= channel.quiet_until_s:
         channel.quiet_until_s = now_s + _LOG_INTERVAL_S

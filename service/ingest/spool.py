@@ -11,6 +11,7 @@ from typing import NamedTuple, Self
 from adapters.samples import Sample, is_bad
 from service.domain.channels import importance
 from service.store import DurableQueue, Mended, QueueFile, QueueLayout, Row
+from service.store.queue_file import used_pages
 
 FILE_NAME = "spool.db"
 
@@ -50,16 +51,9 @@ class Chunk(NamedTuple):
 class Spool:
     """A bounded queue of samples in an SQLite file of its own.
 
-    What was appended is on the disk when `append` returns, and stays there until `remove`. Safe
-    to call from any thread.
-
-    Parameters
-    ----------
-    queue : DurableQueue
-        The spool's queue.
-    size_mib : int
-        Size that the samples may take. A full spool gives up the oldest samples of the least
-        important channels.
+    What was appended is on the disk when `append` returns, and stays there until `remove`. Safe to
+    call from any thread. A full spool of ``size_mib`` gives up the oldest samples of the least
+    important channels.
     """
 
     def __init__(self, queue: DurableQueue, size_mib: int) -> None:
@@ -73,10 +67,7 @@ class Spool:
     def open(cls, folder: Path, size_mib: int) -> Self:
         """Open the spool of a data directory; samples of an earlier run are still in it.
 
-        Raises
-        ------
-        StoreError
-            If the file can be neither opened nor made; one line that names it.
+        Raises `StoreError` if the file can be neither opened nor made; one line that names it.
         """
         return cls(DurableQueue(QueueFile.open(folder / FILE_NAME, _LAYOUT)), size_mib)
 
@@ -99,15 +90,12 @@ class Spool:
     def size_bytes(self) -> int:
         """What the samples take on the disk."""
         with self._queue.file.reading() as connection:
-            return _used_pages(connection) * self._page_bytes
+            return used_pages(connection) * self._page_bytes
 
     def oldest_received_us(self) -> int | None:
         """Receipt time of the sample that waits longest; None when none waits.
 
-        Raises
-        ------
-        QueueUnavailableError
-            If the file cannot be read now.
+        Raises `QueueUnavailableError` if the file cannot be read now.
         """
         with self._queue.file.reading() as connection:
             row = connection.execute(
@@ -118,15 +106,9 @@ class Spool:
     def append(self, samples: Collection[Sample]) -> int:
         """Put samples at the end; when this returns they are on the disk.
 
-        Returns
-        -------
-        int
-            Samples that were given up to make room, the oldest of the least important channels.
-
-        Raises
-        ------
-        QueueUnavailableError
-            If the disk does not take them; then none is in the spool.
+        Returns how many samples were given up to make room, the oldest of the least important
+        channels. Raises `QueueUnavailableError` if the disk does not take them; then none is in the
+        spool.
         """
         rows = []
         for one in samples:
@@ -140,10 +122,7 @@ class Spool:
     def first(self, limit: int) -> Chunk | None:
         """Read the oldest samples, in the order in which they came; None when there are none.
 
-        Raises
-        ------
-        QueueUnavailableError
-            If the file cannot be read now.
+        Raises `QueueUnavailableError` if the file cannot be read now.
         """
         rows = self._queue.first(limit)
         if not rows:
@@ -159,10 +138,8 @@ class Spool:
     def remove(self, chunk: Chunk) -> None:
         """Forget samples that are in the store now.
 
-        Raises
-        ------
-        QueueUnavailableError
-            If the disk does not take the change; they will be read, and stored, once more.
+        Raises `QueueUnavailableError` if the disk does not take the change; they will be read, and
+        stored, once more.
         """
         self._queue.remove(chunk.last_id)
         self._queue.note_damaged(chunk.damaged)
@@ -185,7 +162,7 @@ class Spool:
 
     def _make_room(self, connection: sqlite3.Connection, count: int) -> int:
         given_up = 0
-        while _used_pages(connection) > self._pages_max and given_up < count:
+        while used_pages(connection) > self._pages_max and given_up < count:
             portion = max(int(count * _MAKE_ROOM), 1)
             given_up += connection.execute(
                 "DELETE FROM samples WHERE id IN "
@@ -232,9 +209,3 @@ _LAYOUT = QueueLayout(
     salvage=_salvage,
     added_columns=[("checksum", "INTEGER")],
 )
-
-
-def _used_pages(connection: sqlite3.Connection) -> int:
-    pages = connection.execute("PRAGMA page_count").fetchone()[0]
-    free = connection.execute("PRAGMA freelist_count").fetchone()[0]
-    return int(pages) - int(free)

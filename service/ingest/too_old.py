@@ -26,7 +26,7 @@ class TooOld:
         self._logged_at_s = float("-inf")
 
     def add(self, samples: Collection[Sample], kept_from_us: int) -> None:
-        """Take note of samples, at least one, that the store did not take."""
+        """Record samples, at least one, that the store did not take."""
         now_s = time.monotonic()
         with self._lock:
             self._count += len(samples)

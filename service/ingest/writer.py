@@ -2,30 +2,22 @@
 
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import Future
 from heapq import nsmallest
 from itertools import groupby
-from operator import attrgetter, itemgetter
+from operator import attrgetter
 
 import structlog
 
 from adapters.backoff import Backoff
 from adapters.samples import Sample
 from service.ingest.metrics import SampleLedger
+from service.ingest.sample_queue import Parcel, SampleQueue, sum_of
 from service.ingest.spool import Spool
 from service.ingest.too_old import TooOld
 from service.store import QueueUnavailableError, Store, StoreUnavailableError, WriteCounts
 
-#: A transaction holds at least this many samples, or those of this many wall seconds.
-BATCH_SAMPLES = 5000
-BATCH_S = 0.5
-#: A push of more samples is a backlog. It is stored in portions of this many, and whatever else
-#: comes meanwhile goes first.
-PORTION_SAMPLES = 2000
-#: Samples that may wait in memory (about 40 MB): 40 s at 5000 samples/s.
-QUEUE_SAMPLES = 200_000
 #: The store is given so long per try, and is left alone so long in between.
 _PATIENCE_S = 1.0
 _RETRY_S = 0.2
@@ -39,9 +31,6 @@ _HANGS_S = 2.0
 
 _log = structlog.get_logger(__name__)
 
-_Parcel = tuple[Sequence[Sample], "Future[WriteCounts] | None"]
-"""Samples that came together, and who waits until they are on the disk."""
-
 _Write = Callable[[Sequence[Sample]], WriteCounts]
 
 
@@ -52,38 +41,18 @@ class SampleWriter:
     the spool; when it answers again, it first gets what is on the spool, so that their order is
     kept.
 
-    Parameters
-    ----------
-    store : Store or None
-        Where the samples go; None while it is not open yet, see `attach`.
-    spool : Spool
-        Where they wait while the store is away. What an earlier run left in it is stored first.
-    ledger : SampleLedger
-        Where every sample is accounted for.
-
-    Attributes
-    ----------
-    problem : str or None
-        Why the store takes no samples at the moment; None while all is well.
-    spool_problem : str or None
-        Why the spool does not take them either: samples wait in memory only. None while it does.
-    too_old : TooOld
-        Samples that the store does not take because it has removed that time already.
+    - ``problem``: why the store takes no samples at the moment; None while all is well.
+    - ``spool_problem``: why the spool does not take them either: samples wait in memory only. None
+      while it does.
+    - ``too_old``: samples that the store does not take because it has removed that time already.
     """
 
     def __init__(self, store: Store | None, spool: Spool, ledger: SampleLedger) -> None:
         self._store = store
         self._spool = spool
         self._ledger = ledger
-        self._parcels: deque[_Parcel] = deque()
-        self._backlog: deque[_Parcel] = deque()
-        self._portions: list[WriteCounts | None] = []  # of the first parcel of the backlog
+        self._queue = SampleQueue()
         self._in_hand: Sequence[Sample] = ()
-        self._queued = 0
-        self._waiting_since = 0.0
-        self._urgent = False
-        self._condition = threading.Condition()
-        self._give_up_at: float | None = None
         self._thread: threading.Thread | None = None
         self._backoff = Backoff(_RETRY_S, _RETRY_LAST_S)
         self._retry_at = 0.0
@@ -98,7 +67,12 @@ class SampleWriter:
     @property
     def queued(self) -> int:
         """Samples that wait in memory."""
-        return self._queued
+        return self._queue.length
+
+    @property
+    def spooled(self) -> int:
+        """Samples that wait on the spool."""
+        return len(self._spool)
 
     @property
     def is_running(self) -> bool:
@@ -117,43 +91,19 @@ class SampleWriter:
     def put(self, samples: Sequence[Sample]) -> None:
         """Queue samples; those for which there is no room are skipped and counted."""
         self._ledger.accept(len(samples))
-        with self._condition:
-            stopped = self._give_up_at is not None
-            room = 0 if stopped else max(QUEUE_SAMPLES - self._queued, 0)
-            if room:
-                self._append(samples[:room], None)
-        if len(samples) > room:
-            lost = len(samples) - room
+        if lost := len(samples) - self._queue.put(samples):
+            stopped = self._queue.gives_up_at is not None
             self._ledger.skip(lost, "store_unavailable" if stopped else "queue_full")
 
-    def put_and_tell(self, samples: Sequence[Sample]) -> "Future[WriteCounts]":
+    def put_with_result(self, samples: Sequence[Sample]) -> "Future[WriteCounts]":
         """Queue samples, all or none; the future ends when they are on the disk.
 
-        On the spool a sample that is known already cannot be told from a new one; there all
-        count as stored.
-
-        Raises
-        ------
-        StoreUnavailableError
-            If there is no room for them, or the writer has stopped; then none is accepted.
+        On the spool a sample that is known already looks like a new one; there all count
+        as stored. Raises `StoreUnavailableError` if there is no room for them, or the writer has
+        stopped; then none is accepted.
         """
         future: Future[WriteCounts] = Future()
-        with self._condition:
-            if self._give_up_at is not None:
-                raise StoreUnavailableError("the service is stopping")
-            if self._queued + len(samples) > QUEUE_SAMPLES:
-                raise StoreUnavailableError(
-                    f"{self._queued} samples already wait to be stored"
-                    + (f" ({self.problem})" if self.problem else "")
-                )
-            self._ledger.accept(len(samples))
-            if len(samples) > PORTION_SAMPLES:
-                self._backlog.append((samples, future))
-                self._queued += len(samples)
-                self._condition.notify()
-            else:
-                self._urgent = True
-                self._append(samples, future)
+        self._queue.push(Parcel(samples, future), self._ledger.accept, self.problem)
         return future
 
     def refuse_too_old(self, samples: Sequence[Sample]) -> None:
@@ -165,31 +115,19 @@ class SampleWriter:
 
     def withdraw(self, future: "Future[WriteCounts]") -> bool:
         """Take queued samples back; False when they are being written, or are written already."""
-        with self._condition:
-            # Whoever writes has taken a short parcel out of its queue, and marked a long one.
-            if not future.cancel():
-                return False
-            for queue in (self._parcels, self._backlog):
-                for parcel in queue:
-                    if parcel[1] is future:
-                        queue.remove(parcel)
-                        self._queued -= len(parcel[0])
-                        self._ledger.skip(len(parcel[0]), "withdrawn")
-                        return True
-        return False
+        count = self._queue.withdraw(future)
+        if count is None:
+            return False
+        self._ledger.skip(count, "withdrawn")
+        return True
 
     def close(self, timeout_s: float) -> None:
         """Write everything that is queued, into the store or on the spool, then stop.
 
-        Parameters
-        ----------
-        timeout_s : float
-            Wall seconds for a store and a spool that do not answer; then what is left in memory
-            is given up, counted and logged. What is on the spool stays there.
+        ``timeout_s``: wall seconds for a store and a spool that do not answer; then what is left in
+        memory is given up, counted and logged. What is on the spool stays there.
         """
-        with self._condition:
-            self._give_up_at = time.monotonic() + timeout_s
-            self._condition.notify()
+        self._queue.stop(time.monotonic() + timeout_s)
         if self._thread is None:
             return
         while self._thread.is_alive():
@@ -204,11 +142,8 @@ class SampleWriter:
 
         Should the store take it after all, it is the same sample once more, and known by then.
         """
-        with self._condition:
-            parcels = [*self._parcels, *self._backlog]
-            samples = [*self._in_hand, *(one for parcel, _ in parcels for one in parcel)]
-            self._parcels.clear()
-            self._backlog.clear()
+        parcels = self._queue.clear()
+        samples = [*self._in_hand, *(one for parcel in parcels for one in parcel.samples)]
         _log.warning("store_hangs", samples_on_spool=len(samples))
         try:
             if samples:
@@ -216,89 +151,47 @@ class SampleWriter:
         except QueueUnavailableError as error:
             _log.error("samples_lost", count=len(samples), error=str(error))
             return
-        for _, future in parcels:
-            if future is None or future.done():
-                continue
-            if future.running() or future.set_running_or_notify_cancel():
-                future.set_result(WriteCounts(0, 0))
-
-    def _append(self, samples: Sequence[Sample], future: "Future[WriteCounts] | None") -> None:
-        if not self._parcels:
-            self._waiting_since = time.monotonic()
-        self._parcels.append((samples, future))
-        self._queued += len(samples)
-        # Waking the thread for every few samples would cost more than writing them.
-        if len(self._parcels) == 1 or self._urgent or self._queued >= BATCH_SAMPLES:
-            self._condition.notify()
+        for parcel in parcels:
+            if parcel.future is not None and not parcel.future.done() and parcel.begin():
+                parcel.end([WriteCounts(0, 0)])
 
     def _run(self) -> None:
         while (parcels := self._next()) is not None:
-            self._drain()
-            # Parcels without a waiting caller share a transaction; the others get their own counts.
-            for future, group in groupby(parcels, key=itemgetter(1)):
-                samples = [one for parcel, _ in group for one in parcel]
-                if future is not None and not future.set_running_or_notify_cancel():
-                    future = None  # whoever pushed is gone; the samples are kept all the same
-                counts = self._keep(samples)
-                with self._condition:
-                    self._queued -= len(samples)
-                if future is not None:
-                    _settle(future, [counts])
-            self._keep_backlog()
+            self._work_off(parcels)
+
+    def _work_off(self, parcels: Sequence[Parcel]) -> None:
+        """Store what waits on the spool, for a while, and then a batch."""
+        self._drain()
+        # Parcels without a waiting caller share a transaction; the others get their own counts.
+        for future, group in groupby(parcels, key=attrgetter("future")):
+            alike = list(group)
+            samples = [one for parcel in alike for one in parcel.samples]
+            if future is not None:
+                alike[0].begin()  # of a client that is gone the samples are kept all the same
+            counts = self._keep(samples)
+            self._queue.leave(len(samples))
+            alike[0].end([counts])
+        self._keep_backlog()
 
     def _keep_backlog(self) -> None:
         """Keep one portion of a long push."""
-        with self._condition:
-            if not self._backlog:
-                return
-            samples, future = self._backlog[0]
-            if future is not None and not self._portions and not future.running():
-                future.set_running_or_notify_cancel()  # from now on it cannot be withdrawn
-        first = len(self._portions) * PORTION_SAMPLES
-        portion = samples[first : first + PORTION_SAMPLES]
-        self._portions.append(self._keep(portion))
-        with self._condition:
-            self._queued -= len(portion)
-            if first + len(portion) < len(samples):
-                return
-            counts, self._portions = self._portions, []
-            if self._backlog:
-                self._backlog.popleft()
-        if future is not None:
-            _settle(future, counts)
+        push = self._queue.first_of_backlog()
+        if push is None:
+            return
+        portion = push.portion
+        push.kept.append(self._keep(portion))
+        has_ended = not push.portion
+        self._queue.leave(len(portion), push if has_ended else None)
+        if has_ended:
+            push.end(push.kept)
 
-    def _next(self) -> list[_Parcel] | None:
-        """Wait for the next batch; it may be empty while the spool is not.
+    def _next(self) -> list[Parcel] | None:
+        """Wait for the next batch; it may be empty while the spool is not."""
+        return self._queue.next_batch(self._until_retry_s)
 
-        None when the writer has been stopped and all is done.
-        """
-        with self._condition:
-            while not self._due():
-                rest_s = self._waiting_since + BATCH_S - time.monotonic()
-                wait_s = max(rest_s, 0.0) if self._parcels else None
-                if len(self._spool):
-                    due_s = max(self._retry_at - time.monotonic(), 0.0)
-                    wait_s = due_s if wait_s is None else min(wait_s, due_s)
-                if not self._condition.wait(wait_s) and len(self._spool):
-                    break
-            batch: list[_Parcel] = []
-            count = 0
-            while self._parcels and count < BATCH_SAMPLES:
-                batch.append(self._parcels.popleft())
-                count += len(batch[-1][0])
-            if not self._parcels:
-                self._urgent = False
-            if not (batch or self._backlog) and self._give_up_at is not None:
-                return None
-            return batch
-
-    def _due(self) -> bool:
-        if self._give_up_at is not None or self._backlog:
-            return True
-        if not self._parcels:
-            return False
-        waited_s = time.monotonic() - self._waiting_since
-        return self._urgent or self._queued >= BATCH_SAMPLES or waited_s >= BATCH_S
+    def _until_retry_s(self) -> float | None:
+        """Wall seconds until the spool may be emptied; None while there is nothing on it."""
+        return max(self._retry_at - time.monotonic(), 0.0) if len(self._spool) else None
 
     def _keep(self, samples: Sequence[Sample]) -> WriteCounts | None:
         """Put samples into the store or on the spool; None when nothing was kept."""
@@ -313,7 +206,7 @@ class SampleWriter:
                 kept += counts
             if not samples:
                 break
-            if self._give_up_at is not None and time.monotonic() > self._give_up_at:
+            if self._queue.gives_up_at is not None and time.monotonic() > self._queue.gives_up_at:
                 _log.error("samples_lost", count=len(samples), error=self.spool_problem)
                 self._ledger.skip(len(samples), "store_unavailable")
                 self._in_hand = ()
@@ -324,7 +217,7 @@ class SampleWriter:
         self._in_hand = ()
         if not kept:
             return None
-        return WriteCounts(sum(one.stored for one in kept), sum(one.duplicates for one in kept))
+        return sum_of(kept)
 
     def _drain(self) -> None:
         """Move samples from the spool into the store, for a while, if the store takes them."""
@@ -371,14 +264,14 @@ class SampleWriter:
                 self._answers += 1
             except StoreUnavailableError as error:
                 if self.problem is None:
-                    _log.warning("store_unavailable", error=str(error), waiting=self._queued)
+                    _log.warning("store_unavailable", error=str(error), waiting=self._queue.length)
                 self.problem = str(error)
                 self._retry_at = time.monotonic() + self._backoff.next()
                 return written, [one for rest in (part, *reversed(parts)) for one in rest]
             except QueueUnavailableError as error:
                 self._answers += 1
                 if self.spool_problem is None:
-                    _log.error("spool_unavailable", error=str(error), waiting=self._queued)
+                    _log.error("spool_unavailable", error=str(error), waiting=self._queue.length)
                 self.spool_problem = str(error)
                 return written, [one for rest in (part, *reversed(parts)) for one in rest]
             except Exception:
@@ -398,7 +291,7 @@ class SampleWriter:
         with self._ledger.write_seconds.time():
             counts = self._store.samples.write(samples, _PATIENCE_S)
         if self.problem is not None:
-            _log.info("store_available", waiting=self._queued + len(self._spool))
+            _log.info("store_available", waiting=self._queue.length + len(self._spool))
         self.problem = self.spool_problem = None
         self._backoff.reset()
         self._ledger.settle(stored=counts.stored, duplicates=counts.duplicates)
@@ -416,16 +309,3 @@ class SampleWriter:
             _log.error("spool_full", samples_given_up=given_up, waiting=len(self._spool))
             self._ledger.skip(given_up, "spool_full")
         return WriteCounts(len(samples), 0)
-
-
-def _settle(future: "Future[WriteCounts]", counts: Sequence[WriteCounts | None]) -> None:
-    """Tell who waits what became of the portions of a push."""
-    if future.done():
-        return
-    kept = [one for one in counts if one is not None]
-    if len(kept) < len(counts):
-        future.set_exception(StoreUnavailableError("the samples were not stored"))
-    else:
-        future.set_result(
-            WriteCounts(sum(one.stored for one in kept), sum(one.duplicates for one in kept))
-        )

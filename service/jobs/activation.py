@@ -82,7 +82,9 @@ class Activations:
                 self._clock.now_us(),
                 line,
             )
-            asset.switch(active_model(asset.settings, activated), who, comment or "")
+            active = await anyio.to_thread.run_sync(active_model, asset.settings, activated)
+            asset.switch(active, who, comment or "")
+        await asyncio.sleep(0)  # a poll that is due comes before the document
         return model_document(activated)
 
     async def follow(self) -> None:

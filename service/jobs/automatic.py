@@ -1,4 +1,4 @@
-"""Re-identification by itself: when enough new and varied low-risk windows have come."""
+"""Automatic re-identification: when enough new and varied low-risk windows have come."""
 
 import asyncio
 from collections.abc import Mapping
@@ -8,10 +8,10 @@ import structlog
 from adapters.protocol import Clock
 from service.domain.errors import JobConflictError, RequestRefusedError
 from service.domain.requests import IdentificationRequest
+from service.jobs.family import NewSisters
 from service.jobs.history import AssetHistory
 from service.jobs.manager import IdentificationJobs
 from service.jobs.runner import AUTOMATIC
-from service.jobs.sisters import News
 from twin_core.windows import Window
 
 LOOK_EVERY_S = 300.0
@@ -20,7 +20,7 @@ LOOK_LEAST_WALL_S = 1.0
 _log = structlog.get_logger(__name__)
 
 
-async def identify_by_itself(
+async def identify_automatically(
     jobs: IdentificationJobs, histories: Mapping[str, AssetHistory], clock: Clock
 ) -> None:
     """Look at every asset's windows from time to time and queue a job where they are worth it.
@@ -31,7 +31,7 @@ async def identify_by_itself(
     someone cancelled it.
     """
     tried: dict[str, list[Window]] = {}
-    learned: dict[str, News] = {}
+    learned: dict[str, NewSisters] = {}
     while True:
         await asyncio.sleep(max(LOOK_EVERY_S / clock.rate, LOOK_LEAST_WALL_S))
         for asset_id, history in list(histories.items()):
@@ -39,17 +39,17 @@ async def identify_by_itself(
                 continue
             try:
                 found = await history.windows()
-                news = await jobs.news_of_sisters(asset_id) if found else None
-                if news == learned.get(asset_id):
-                    news = None
-                if not news and not await history.are_worth_identifying(
+                ahead = await jobs.new_sisters(asset_id) if found else None
+                if ahead == learned.get(asset_id):
+                    ahead = None
+                if not ahead and not await history.are_worth_identifying(
                     found, tried.get(asset_id, [])
                 ):
                     continue
                 await jobs.create(asset_id, IdentificationRequest(), None, AUTOMATIC)
                 tried[asset_id] = found
-                if news:
-                    learned[asset_id] = news
+                if ahead:
+                    learned[asset_id] = ahead
             except (JobConflictError, RequestRefusedError) as error:
                 _log.info("automatic_identification_put_off", asset=asset_id, reason=str(error))
             except Exception:

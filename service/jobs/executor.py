@@ -12,6 +12,9 @@ from typing import TypeVar
 
 import numba
 
+from service.domain.errors import BearingTwinError
+from service.loading import load_numba
+
 PROGRESS_EVERY_WALL_S = 0.4
 #: Wall seconds without a sign of life after which a worker hangs. Its signs come many times a
 #: second; the longest pause is the start, when a slow machine may compile all kernels.
@@ -20,7 +23,7 @@ STALLED_AFTER_WALL_S = 900.0
 Result = TypeVar("Result")
 
 
-class WorkerStalledError(RuntimeError):
+class WorkerStalledError(BearingTwinError, RuntimeError):
     """A worker hangs; the text says for how long there was no sign of life."""
 
 
@@ -98,9 +101,10 @@ async def watched(
 
 def prepare_worker() -> None:
     """Leave a core and the priority to the live twin, and never outlive the service."""
+    load_numba()
     with contextlib.suppress(OSError):
         os.nice(10)
-    # Whoever presses Ctrl+C means the service, or the command: it ends its workers itself.
+    # Ctrl+C is meant for the service, or the command: it ends its workers itself.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # The simulation takes as many threads as numba is configured for, which may be less than the
     # machine has: a container's share, an environment variable.

@@ -10,7 +10,7 @@ from adapters.protocol import Clock
 from service.clock import MINUTE_US, rfc3339
 from service.documents.identification import WindowDocument
 from service.documents.profiles import StepLevel
-from service.domain.channels import AMBIENT, OPERATING_CHANNELS
+from service.domain.channels import AMBIENT, OPERATING_CHANNELS, is_modelled
 from service.site.asset_section import AssetSection
 from service.site.machines.machine import Machine
 from service.store import MinuteTable, Store
@@ -38,7 +38,7 @@ GOOD_FOR_EACH_DOUBTFUL = 3
 FEWEST_OF_USUAL = 0.75
 _ANYWHERE = LowRiskRegion(np.inf, np.inf)
 # What the drivers and the sample writer may still hold, in wall seconds.
-SETTLING_WALL_S = 1.0
+UNWRITTEN_WALL_S = 1.0
 # What must have come again at one operating point before a re-identification is worth its while.
 NEW_POINT_S = 1500.0
 
@@ -57,7 +57,7 @@ class AssetHistory:
     def __init__(self, settings: AssetSection, store: Store, clock: Clock) -> None:
         self._asset = settings.id
         self._region = settings.low_risk.region
-        self._temperatures = tuple(name for name in settings.channels if name.startswith("t_"))
+        self._temperatures = tuple(name for name in settings.channels if is_modelled(name))
         self._sensors = settings.sensor_names
         self._operating = (*OPERATING_CHANNELS, *settings.input_names)
         self._inputs = settings.input_names
@@ -77,7 +77,7 @@ class AssetHistory:
         return [window_document(window) for window in await self.windows()]
 
     async def are_worth_identifying(self, found: list[Window], tried: list[Window]) -> bool:
-        """Tell whether windows hold enough that is new and varied.
+        """Return whether windows hold enough that is new and varied.
 
         Parameters
         ----------
@@ -176,8 +176,8 @@ class AssetHistory:
 
         Finely: in the steps that the asset's network needs, where they are shorter.
         """
-        settled_us = self._clock.now_us() - round(SETTLING_WALL_S * self._clock.rate * 1e6)
-        last_us = (settled_us // MINUTE_US - 1) * MINUTE_US
+        written_us = self._clock.now_us() - round(UNWRITTEN_WALL_S * self._clock.rate * 1e6)
+        last_us = (written_us // MINUTE_US - 1) * MINUTE_US
         end_us = last_us if end_us is None else min(end_us, last_us)
         start_us = end_us - LOOK_BACK_US if start_us is None else start_us
         start_us, end_us = -(-start_us // MINUTE_US) * MINUTE_US, end_us // MINUTE_US * MINUTE_US

@@ -19,8 +19,8 @@ from service.documents.models import ModelDocument
 from service.domain.errors import JobConflictError, KeyUsedBeforeError, RequestRefusedError
 from service.domain.requests import IdentificationRequest
 from service.jobs.documents import shown
+from service.jobs.family import NewSisters, new_sisters
 from service.jobs.runner import AUTOMATIC, STOP_WALL_S, JobRunner, audit_line
-from service.jobs.sisters import News, news_of
 from service.jobs.workspace import JobFolder, clear_folders
 from service.store import ActiveJobError, AuditEntry, Job, NotOwnerError, StoreUnavailableError
 
@@ -34,11 +34,17 @@ class IdentificationJobs:
     ----------
     runner : JobRunner
         Runs them.
+
+    Attributes
+    ----------
+    ready : asyncio.Event
+        Set when what an earlier run left unfinished is taken up.
     """
 
     def __init__(self, runner: JobRunner) -> None:
         self.runner = runner
         self._store, self._clock, self._assets = runner.store, runner.clock, runner.assets
+        self.ready = asyncio.Event()
 
     @property
     def switching(self) -> asyncio.Lock:
@@ -53,6 +59,7 @@ class IdentificationJobs:
         kept = {job.id for job in unfinished}
         await anyio.to_thread.run_sync(clear_folders, self.runner.folder, kept)
         await self._begin_again([job for job in unfinished if job.asset in self._assets])
+        self.ready.set()
 
     async def resume(self, assets: Collection[str]) -> None:
         """Take up the unfinished jobs of assets that are followed from now on.
@@ -82,7 +89,7 @@ class IdentificationJobs:
         await self._interrupt(assets)
 
     async def _interrupt(self, assets: Collection[str] | None) -> None:
-        """Have the jobs of these assets, or of all, wait in the store for whoever goes on."""
+        """Have the jobs of these assets, or of all, wait in the store for the cell that goes on."""
         try:
             async with asyncio.timeout(STOP_WALL_S):
                 for job in await anyio.to_thread.run_sync(
@@ -162,11 +169,11 @@ class IdentificationJobs:
             self.runner.begin(job)
         return shown(job), created
 
-    async def news_of_sisters(self, asset_id: str) -> News:
+    async def new_sisters(self, asset_id: str) -> NewSisters:
         """Name the sisters that an asset should be identified again for; mostly none."""
         asset = self._assets[asset_id]
         return await anyio.to_thread.run_sync(
-            news_of, self._store, asset.settings, asset.active.posterior
+            new_sisters, self._store, asset.settings, asset.active.posterior
         )
 
     async def _windows(
@@ -204,7 +211,7 @@ class IdentificationJobs:
         document = shown(job, self.runner.progress.get(job_id), convergence=True)
         if job.model_version is None:
             return document
-        # What came of the job has its whole course; what was told last ends somewhat before.
+        # The model version has the whole course; the last report of progress ends somewhat before.
         version = await anyio.to_thread.run_sync(
             self._store.models.version, asset_id, job.model_version
         )
@@ -255,5 +262,5 @@ class IdentificationJobs:
         return await self.runner.activations.activate(asset_id, version, who, comment, force, audit)
 
     def busy(self, asset_id: str) -> bool:
-        """Tell whether a job of this asset is queued or running in this service."""
+        """Return whether a job of this asset is queued or running in this service."""
         return self.runner.busy(asset_id)

@@ -6,7 +6,7 @@ import json
 import structlog
 
 from service.jobs.worker import JobResult
-from service.live.estimate import ActiveModel
+from service.live.estimate import RunningModel
 from service.site.asset_section import AssetSection
 from service.site.machines.machine import (
     KEPT_MACHINES,
@@ -19,6 +19,7 @@ from twin_core.identification.paper_view import paper_view
 from twin_core.identification.posterior import Posterior, prior_posterior
 from twin_core.models import ThermalModel
 from twin_core.naive import NaiveForecasts
+from twin_core.sisters import law_documents
 
 _log = structlog.get_logger(__name__)
 
@@ -94,6 +95,7 @@ def identified_document(job: Job, result: JobResult, asset: AssetSection) -> Jso
         "gates": result.gates.to_dict(),
         "drift": result.drift.model_dump(),
         "sisters": _sisters(model, result),
+        "laws": law_documents(model, posterior, result.sisters),
         "own": None if result.own is None else result.own.to_dict(),
         "job": job.id,
         "method": job.request["method"],
@@ -117,12 +119,12 @@ def _sisters(model: ThermalModel, result: JobResult) -> JsonDocument | None:
     }
 
 
-def active_model(asset: AssetSection, version: ModelVersion) -> ActiveModel:
+def active_model(asset: AssetSection, version: ModelVersion) -> RunningModel:
     """What the live twin needs of a stored version."""
     prior, document = _prior(_parts(asset))
     stored = version.document["posterior"]
     posterior = prior if stored == document["posterior"] else Posterior.from_dict(stored)
-    return ActiveModel(
+    return RunningModel(
         version=version.version,
         model=thermal_model(asset),
         posterior=posterior,

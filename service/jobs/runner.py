@@ -15,15 +15,15 @@ import structlog
 
 from adapters.protocol import Clock
 from service.clock import wall_us
-from service.documents.interfaces import Publisher
+from service.documents.interfaces import LivePublisher
 from service.domain.job_states import TRANSITIONS, UNFINISHED, JobEvent
 from service.jobs.activation import Activations
+from service.jobs.comparison import comparable_versions, report_change, with_drift
 from service.jobs.documents import ProgressCache, shown
-from service.jobs.drift import comparable_versions, tell, with_drift
 from service.jobs.executor import STALLED_AFTER_WALL_S, WorkerStalledError, watched
+from service.jobs.family import relatives_of
 from service.jobs.history import AssetHistory
 from service.jobs.models import identified_document, machine_of
-from service.jobs.sisters import relatives_of
 from service.jobs.worker import JobOrder, JobResult, run_identification
 from service.jobs.workers import Worker, Workers
 from service.jobs.workspace import JobFolder
@@ -78,7 +78,7 @@ class JobRunner:
         self,
         store: Store,
         clock: Clock,
-        bus: Publisher,
+        bus: LivePublisher,
         assets: Mapping[str, AssetRuntime],
         histories: Mapping[str, AssetHistory],
         make_executor: Callable[[], Executor],
@@ -136,7 +136,7 @@ class JobRunner:
             await asyncio.wait(tasks, timeout=STOP_WALL_S)
 
     def busy(self, asset_id: str) -> bool:
-        """Tell whether a job of this asset is queued or running here."""
+        """Return whether a job of this asset is queued or running here."""
         return any(task.get_name() == asset_id for task in self._tasks.values())
 
     def begin(self, job: Job) -> None:
@@ -178,11 +178,11 @@ class JobRunner:
             await self._attempt(job, folder, worker)
         except BrokenProcessPool:
             _log.error("job_worker_died", job=job_id)
-            worker.replace()
+            worker.end()
             return False
         except WorkerStalledError as error:
             _log.error("job_worker_stalled", job=job_id, reason=str(error))
-            worker.replace()
+            worker.end()
             if job is not None and job.attempts + 1 < MOST_STALLED_ATTEMPTS:
                 return False
             await self._end(job_id, "fail", str(error))
@@ -299,11 +299,11 @@ class JobRunner:
             version = await anyio.to_thread.run_sync(self.store.models.version, job.asset, number)
             if version is None:
                 raise RuntimeError(f"model version {number} of {job.asset!r} is gone")
-            tell(job.asset, version, self.assets[job.asset].drift_reported)
+            report_change(job.asset, version, self.assets[job.asset].drift_reported)
             await self._take_effect(still_wanted, version)
 
     async def _take_effect(self, job: Job, version: ModelVersion) -> None:
-        """Activate what may be activated by itself; whoever sees the job's end sees that too."""
+        """Activate what may be activated automatically, before the job's end is shown."""
         ladder = self.assets[job.asset].settings.identification.ladder
         if version.status == "candidate" and ladder == "apply":
             number, reason = version.version, version.reason
@@ -355,10 +355,10 @@ class JobRunner:
         )
 
     def publish(self, job: Job) -> None:
-        """Tell those who follow how a job is."""
+        """Publish the state of a job."""
         self._bus.publish("job", job.asset, shown(job, self.progress.get(job.id)))
 
 
 def audit_line(action: str, target: str, detail: str = "") -> AuditEntry:
-    """Line of the audit trail about what the service does by itself."""
+    """Line of the audit trail about what the service does automatically."""
     return AuditEntry(wall_us(), AUTOMATIC, "", action, target, detail)

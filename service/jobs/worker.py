@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from service.documents.drift import DriftDocument
-from service.jobs.drift import EarlierVersion, drift_document, earlier_versions
+from service.documents.models import DriftDocument
+from service.jobs.comparison import EarlierVersion, drift_document, earlier_versions
 from service.jobs.relatives import NO_RELATIVES, Relatives
 from service.jobs.workspace import Convergence, JobFolder, Progress
 from service.site.machines.machine import Machine
@@ -18,11 +18,12 @@ from twin_core.identification.checkpoint import CheckpointMismatchError
 from twin_core.identification.data import IdentificationData
 from twin_core.identification.gates import GateReport, judge
 from twin_core.identification.identify import (
+    FitSettings,
+    IdentificationProgress,
     IdentificationResult,
     Method,
     identify,
 )
-from twin_core.identification.identify import Progress as FitProgress
 from twin_core.identification.posterior import Posterior
 from twin_core.identification.problem import IdentificationProblem
 from twin_core.identification.refinement import IdentificationCancelled
@@ -133,14 +134,14 @@ def run_identification(order: JobOrder) -> JobResult | None:
     active_fitness = fitness_of(model, order.data, order.active)
     share = _WITHOUT_SISTERS if order.relatives.sisters else 1.0
     resume = order.folder.read_checkpoint()
-    told = _ProgressReporter(order.folder, active_fitness, (resume or {}).get("history", ()))
+    reporter = _ProgressReporter(order.folder, active_fitness, (resume or {}).get("history", ()))
     try:
         try:
-            fit = _fit(order, model, part_of(told, 0.0, share), resume)
+            fit = _fit(order, model, part_of(reporter, 0.0, share), resume)
         except CheckpointMismatchError:
             # More data have come, or this is another version of the software.
-            told = _ProgressReporter(order.folder, active_fitness, ())
-            fit = _fit(order, model, part_of(told, 0.0, share), None)
+            reporter = _ProgressReporter(order.folder, active_fitness, ())
+            fit = _fit(order, model, part_of(reporter, 0.0, share), None)
         return assessed(
             model,
             order.data,
@@ -150,8 +151,8 @@ def run_identification(order: JobOrder) -> JobResult | None:
             earlier=earlier_versions(order.earlier),
             relatives=order.relatives,
             seed=order.seed,
-            progress=part_of(told, share, 1.0),
-            cancelled=lambda: _is_stopped(order.folder),
+            progress=part_of(reporter, share, 1.0),
+            cancelled=lambda: is_stopped(order.folder),
         )
     except IdentificationCancelled:
         return None
@@ -167,7 +168,7 @@ def assessed(
     earlier: Sequence[EarlierVersion],
     relatives: Relatives = NO_RELATIVES,
     seed: int = 0,
-    progress: Callable[[FitProgress], None] | None = None,
+    progress: Callable[[IdentificationProgress], None] | None = None,
     cancelled: Callable[[], bool] | None = None,
 ) -> JobResult:
     """Learn from sisters, let the gates judge, and compare with earlier versions.
@@ -204,7 +205,7 @@ def assessed(
         alone = judge(model, data, fit, active=active, cancelled=cancelled)
         if alone.accepted:
             why = f"a gate refuses the model with the sisters' prior ({report.reason})"
-            verdict = replace(verdict, accepted=False, reason=why)
+            verdict = replace(verdict, accepted=False, reason=why, laws={})
             chosen, report = fit, alone
     windows = [window_of(window.minutes) for window in data.windows]
     own = replace(fit.posterior, samples=fit.posterior.samples[:0])
@@ -230,7 +231,7 @@ def _learned(
     active: Posterior,
     relatives: Relatives,
     seed: int,
-    progress: Callable[[FitProgress], None] | None,
+    progress: Callable[[IdentificationProgress], None] | None,
     cancelled: Callable[[], bool] | None,
 ) -> WithSisters:
     """Learn from the relatives that are no copies of the machine itself."""
@@ -244,7 +245,7 @@ def _learned(
         data,
         sisters,
         fit,
-        seed=seed,
+        FitSettings(seed=seed),
         earlier=active,
         progress=progress,
         cancelled=cancelled,
@@ -252,47 +253,6 @@ def _learned(
     verdict = learned.verdict
     aside = left_out | dict(verdict.set_aside)
     return replace(learned, verdict=replace(verdict, set_aside=aside))
-
-
-@dataclass(frozen=True, slots=True)
-class TeachingOrder:
-    """A machine that is identified from all that it has run, for its sisters.
-
-    Attributes
-    ----------
-    folder, machine, seed
-        As of `JobOrder`.
-    data : IdentificationData
-        Windows at any speed and load.
-    """
-
-    folder: JobFolder
-    machine: Machine
-    data: IdentificationData
-    seed: int = 0
-
-
-def run_teaching(order: TeachingOrder) -> Posterior | str | None:
-    """Identify a machine from all that it has run.
-
-    Returns
-    -------
-    Posterior, str or None
-        What it teaches its sisters; why it teaches nothing; None when the work was cancelled.
-    """
-    try:
-        fit = identify(
-            order.machine.build(),
-            order.data,
-            method="noa+refine",
-            seed=order.seed,
-            cancelled=lambda: _is_stopped(order.folder),
-        )
-    except IdentificationCancelled:
-        return None
-    except ValueError as error:
-        return str(error)
-    return fit.posterior if fit.status == "converged" else fit.reason
 
 
 def fitness_of(model: ThermalModel, data: IdentificationData, posterior: Posterior) -> float | None:
@@ -304,24 +264,22 @@ def fitness_of(model: ThermalModel, data: IdentificationData, posterior: Posteri
 def _fit(
     order: JobOrder,
     model: ThermalModel,
-    progress: Callable[[FitProgress], None] | None,
+    progress: Callable[[IdentificationProgress], None] | None,
     resume: Mapping[str, Any] | None,
 ) -> IdentificationResult:
     return identify(
         model,
         order.data,
-        method=order.method,
-        budget=order.budget,
-        seed=order.seed,
+        FitSettings(method=order.method, budget=order.budget, seed=order.seed),
         progress=progress,
-        cancelled=lambda: _is_stopped(order.folder),
+        cancelled=lambda: is_stopped(order.folder),
         save=_CheckpointWriter(order.folder),
         resume=resume,
     )
 
 
-def _is_stopped(folder: JobFolder) -> bool:
-    """Tell whether the job is to stop. It is asked after every step: that is the sign of life."""
+def is_stopped(folder: JobFolder) -> bool:
+    """Return whether the job is to stop. It is asked after every step: that is the sign of life."""
     folder.show_life()
     return folder.cancelled
 
@@ -353,7 +311,7 @@ class _ProgressReporter:
         self._convergence = Convergence(history)
         self._reported_at = 0.0
 
-    def __call__(self, progress: FitProgress) -> None:
+    def __call__(self, progress: IdentificationProgress) -> None:
         self._convergence.add(progress.evaluations, progress.best_fitness)
         if (
             time.monotonic() - self._reported_at < PROGRESS_EVERY_WALL_S

@@ -6,8 +6,12 @@ import itertools
 from collections.abc import AsyncIterator, Callable
 from concurrent.futures import Executor
 from contextlib import asynccontextmanager
+from typing import Final
 
 from service.jobs.executor import end_executor
+
+#: A process without a job for so many wall seconds ends: it holds a hundred megabytes.
+IDLE_S: Final = 120.0
 
 
 class Worker:
@@ -17,29 +21,40 @@ class Worker:
     ----------
     make_executor : callable
         Makes the process; called again after it died or was ended.
-
-    Attributes
-    ----------
-    executor : concurrent.futures.Executor
-        Takes the work.
     """
 
     def __init__(self, make_executor: Callable[[], Executor]) -> None:
         self._make_executor = make_executor
-        self.executor = make_executor()
+        self._executor: Executor | None = None
+        self._ending: asyncio.TimerHandle | None = None
 
-    def replace(self) -> None:
-        """End the process at once, and begin another one with the next job."""
-        self.end()
-        self.executor = self._make_executor()
+    @property
+    def executor(self) -> Executor:
+        """What takes the work."""
+        if self._executor is None:
+            self._executor = self._make_executor()
+        return self._executor
 
     def end(self) -> None:
-        """End the process at once."""
-        end_executor(self.executor)
+        """End the process at once; the next job begins another one."""
+        self.keep()
+        executor, self._executor = self._executor, None
+        if executor is not None:
+            end_executor(executor)
+
+    def end_when_idle(self) -> None:
+        """End the process after some time, unless it is kept until then."""
+        self._ending = asyncio.get_running_loop().call_later(IDLE_S, self.end)
+
+    def keep(self) -> None:
+        """Have the process ready for the next job."""
+        if self._ending is not None:
+            self._ending.cancel()
+            self._ending = None
 
 
 class Workers:
-    """Some workers. What a person waits for comes first, then whoever waits longest.
+    """Some workers. What a person waits for comes first, then the one that waits longest.
 
     An asset has one unfinished job at most, so that none keeps the others out.
 
@@ -79,7 +94,9 @@ class Workers:
 
     async def _next(self, urgent: bool) -> Worker:
         if self._free:
-            return self._free.pop()
+            worker = self._free.pop()
+            worker.keep()
+            return worker
         turn: asyncio.Future[Worker] = asyncio.get_running_loop().create_future()
         heapq.heappush(self._waiting, (not urgent, next(self._numbers), turn))
         try:
@@ -96,3 +113,4 @@ class Workers:
                 turn.set_result(worker)
                 return
         self._free.append(worker)
+        worker.end_when_idle()

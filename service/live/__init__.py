@@ -1,1 +1,1 @@
-"""The live side of the service: one runtime per asset, and the bus that tells of its changes."""
+"""The live side of the service: one runtime per asset, and the live messages of its changes."""

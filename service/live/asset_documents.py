@@ -12,6 +12,7 @@ from service.documents.assets import (
     AssetDocument,
     ChannelDocument,
     Controller,
+    GreaseRenewed,
     HealthOfAsset,
     IdentificationSettings,
     State,
@@ -25,9 +26,9 @@ from service.documents.tags import Snapshot, Tag, tag
 from service.documents.verdicts import VerdictDocument
 from service.domain.channels import CONTROLLER_CHANNELS, unit_of
 from service.live import presentation
+from service.live.asset_summary import asset_summary
 from service.live.estimate import LiveEstimate
 from service.live.forecasting import Forecasting
-from service.live.glance import glance
 from service.live.judgement import Judgement
 from service.live.readings import Readings
 from service.site.asset_section import AssetSection
@@ -35,6 +36,14 @@ from service.site.wiring import ChannelFacts
 
 SNAPSHOT_WALL_S = 0.1
 TWIN_SOURCE = "twin"
+
+
+class _TagTimes:
+    """Times of what changes rarely, so that an unchanged snapshot stays the same to the byte."""
+
+    def __init__(self, began: str) -> None:
+        self.began = self.switched = self.alarms_changed = self.trust_changed = began
+        self.trusted = True
 
 
 class AssetDocuments:
@@ -80,11 +89,10 @@ class AssetDocuments:
         self._alarms = alarms
         self._clock = clock
         self._trusted = trusted
-        # Times of what changes rarely, so that an unchanged snapshot stays the same to the byte.
-        self._began = self._switched = self._alarms_changed = rfc3339(clock.now_us())
-        self._trust = True, self._began
+        self._times = _TagTimes(rfc3339(clock.now_us()))
         self._snapshot: Snapshot = {"tags": {}}
         self._snapshot_us = 0
+        self._shown: tuple[LiveForecast | None, LiveForecast | None] = None, None
 
     def changed(self) -> None:
         """Have the next snapshot made again."""
@@ -97,12 +105,20 @@ class AssetDocuments:
 
     def model_switched(self) -> None:
         """Note that the twin runs on another model version."""
-        self._switched = rfc3339(self._clock.now_us())
+        self._times.switched = rfc3339(self._clock.now_us())
         self.changed()
+
+    def grease_renewed(self, revolutions: float) -> GreaseRenewed:
+        """Show that the grease was renewed now; ``revolutions``: what that before had seen."""
+        return GreaseRenewed(
+            time=rfc3339(self._clock.now_us()),
+            revolutions_before=round(revolutions),
+            revolutions=round(self._estimate.revolutions),
+        )
 
     def alarms_changed(self) -> None:
         """Note that an alarm of this asset has changed."""
-        self._alarms_changed = rfc3339(self._clock.now_us())
+        self._times.alarms_changed = rfc3339(self._clock.now_us())
         self.changed()
 
     @property
@@ -118,12 +134,15 @@ class AssetDocuments:
         model = self._estimate.active.model
         return tuple(dict.fromkeys((*model.sensor_names, *model.node_names)))
 
+    def channels_without_good_data(self) -> list[str]:
+        """Configured channels whose latest sample is bad or old."""
+        return self._readings.without_good_data(self._facts, self._clock.now_us())
+
     def summary(self) -> AssetDocument:
         """Configuration, health and active model."""
         now_us = self._clock.now_us()
         settings, active = self._settings, self._estimate.active
-        qualities = {channel: self._readings.quality(channel, now_us) for channel in self._facts}
-        bad = sorted(channel for channel, quality in qualities.items() if quality < 192)
+        bad = self.channels_without_good_data()
         identified_at_us = active.identified_at_us
         return AssetDocument(
             id=self._settings.id,
@@ -150,7 +169,7 @@ class AssetDocuments:
                 version=active.version,
                 model=active.model.name,
                 trusted=self._trusted(),
-                identified=identified_at_us is not None,
+                identified=active.identified,
                 identified_at=rfc3339(identified_at_us) if identified_at_us else None,
             ),
             identification=IdentificationSettings(**settings.identification.model_dump()),
@@ -187,7 +206,7 @@ class AssetDocuments:
         """Flat tags for a SCADA system, from memory; the same object until a tag changes."""
         now_us = self._clock.now_us()
         age_s = abs(now_us - self._snapshot_us) / 1e6
-        # While nothing is taken in, time alone makes values stale.
+        # While no sample comes, time alone makes values stale.
         if age_s >= SNAPSHOT_WALL_S * self._clock.rate:
             tags = self._tags(now_us)
             if tags != self._snapshot["tags"]:
@@ -197,27 +216,32 @@ class AssetDocuments:
 
     def _tags(self, now_us: int) -> dict[str, Tag]:
         tags: dict[str, Tag] = {}
+        times = self._times
         for channel in self._facts:
             sample = self._readings.latest.get(channel)
             tags[channel] = tag(
                 self._readings.usable_value(channel, now_us),
                 unit_of(channel),
                 self._readings.quality(channel, now_us),
-                rfc3339(sample.time_us) if sample else self._began,
+                rfc3339(sample.time_us) if sample else times.began,
             )
         blind = bool(self._judgement.blind)
-        tags |= presentation.estimate_tags(self._estimate, self._began, blind)
+        tags |= presentation.estimate_tags(self._estimate, times.began, blind)
         tags |= presentation.forecast_tags(
-            self._settings.limits, self._forecasting.summary, self._began, blind
+            self._settings.limits,
+            self._forecasting.summary,
+            times.began,
+            blind,
+            prior=not self._estimate.active.identified,
         )
         tags |= self._judgement.tags(self.verdict())
         alarms = self._alarms.active(self._settings.id)
-        tags |= presentation.alarm_tags(alarms, self._alarms_changed)
-        tags["model.version"] = tag(self._estimate.active.version, "", Quality.GOOD, self._switched)
+        tags |= presentation.alarm_tags(alarms, times.alarms_changed)
+        tags["model.version"] = tag(self._estimate.active.version, "", Quality.GOOD, times.switched)
         trusted = self._trusted()
-        if trusted != self._trust[0]:
-            self._trust = trusted, rfc3339(now_us)
-        tags["model.trusted"] = tag(int(trusted), "", Quality.GOOD, self._trust[1])
+        if trusted != times.trusted:
+            times.trusted, times.trust_changed = trusted, rfc3339(now_us)
+        tags["model.trusted"] = tag(int(trusted), "", Quality.GOOD, times.trust_changed)
         return tags
 
     def state(self) -> State:
@@ -227,29 +251,33 @@ class AssetDocuments:
         )
 
     def verdict(self) -> VerdictDocument:
-        """Tell whether the machine is safe now, and whether its next step is."""
+        """Return whether the machine is safe now, and whether its next step is."""
         return self._judgement.document(self.running)
 
-    def glance(self) -> FleetAsset:
+    def asset_summary(self) -> FleetAsset:
         """Show the asset as the fleet does."""
         active = self._estimate.active
-        return glance(
+        return asset_summary(
             self._settings,
             self._readings,
             self.verdict(),
             self._alarms.active(self._settings.id),
             version=active.version,
             trusted=self._trusted(),
-            identified=active.identified_at_us is not None,
+            identified=active.identified,
             drifted=active.drifted,
         )
 
     def forecast(self) -> LiveForecast | None:
-        """Return the latest live forecast; None before the first."""
-        latest = self._forecasting.latest
+        """Return the latest live forecast, the same object until it changes; None before it."""
+        latest, missing = self._forecasting.latest, self._judgement.blind
         if latest is None:
             return None
-        return latest.model_copy(update={"missing": self._judgement.blind})
+        of, shown = self._shown
+        if shown is None or of is not latest or shown.missing != missing:
+            shown = latest.model_copy(update={"missing": missing})
+            self._shown = latest, shown
+        return shown
 
     def description(self) -> AssetFacts:
         """What others must know of the asset before they ask anything."""

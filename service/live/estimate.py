@@ -8,15 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.samples import Quality, Sample
-from service.documents.machine import Estimate, Point
-from service.domain.channels import AMBIENT, LOAD, SPEED
+from service.documents.machine import Estimate, PointOfEstimate
+from service.domain.channels import AMBIENT, LOAD, SPEED, is_modelled
 from service.live.kept import KeptEstimate
 from twin_core.filtering import begin
 from twin_core.identification.posterior import Posterior
 from twin_core.machine_state import FOLLOWED_S, MachineState
 from twin_core.models import ThermalModel
 from twin_core.naive import NaiveForecasts
-from twin_core.observer import Innovation, Observer, Step, advance, not_colder_than
+from twin_core.observer import Innovation, Observation, Observer, advance, not_colder_than
 from twin_core.operating_points import usual_levels
 from twin_core.process_noise import (
     DEVIATION_K,
@@ -25,7 +25,7 @@ from twin_core.process_noise import (
     joint_variance,
     known_within_k,
 )
-from twin_core.profiles import OperatingPoint
+from twin_core.profiles import Point
 from twin_core.windows import stands_at_ambient
 
 # A gap without any knowledge of the operating point longer than this starts the estimate again,
@@ -39,7 +39,7 @@ _LONGEST_SEEN_S = 300.0
 
 
 @dataclass(frozen=True, slots=True)
-class ActiveModel:
+class RunningModel:
     """A model version that the live twin runs on.
 
     ``drifted``: its drift report says *changed*. ``naive``: simple forecasts fitted to its data.
@@ -53,6 +53,14 @@ class ActiveModel:
     naive: NaiveForecasts | None = None
 
     @property
+    def identified(self) -> bool:
+        """Whether it was identified. A model that was not is no judge of what lies ahead.
+
+        Verdict, alarms, tags and page ask this: until then no word, no predicted alarm, no fan.
+        """
+        return self.identified_at_us is not None
+
+    @property
     def values(self) -> NDArray[np.float64]:
         """Physical parameter values at the posterior's centre, shape (p,)."""
         return self.model.parameters.values_from_z(self.posterior.z)
@@ -64,31 +72,31 @@ class EstimatedState:
 
     Attributes
     ----------
-    active : ActiveModel
+    active : RunningModel
         The model version that the twin runs on.
     machine : MachineState
         State of the machine.
-    point : OperatingPoint
+    point : Point
         What it runs at.
     time_us : int
         Process time.
     """
 
-    active: ActiveModel
+    active: RunningModel
     machine: MachineState
-    point: OperatingPoint
+    point: Point
     time_us: int
 
     def document(self) -> Estimate:
         """The state without the model, for other processes."""
-        point = Point(**asdict(self.point))
+        point = PointOfEstimate(**asdict(self.point))
         return Estimate(machine=self.machine.to_dict(), point=point, time_us=self.time_us)
 
     @classmethod
-    def read(cls, active: ActiveModel, shown: Estimate) -> "EstimatedState":
+    def read(cls, active: RunningModel, shown: Estimate) -> "EstimatedState":
         """Restore what `document` gave, of a twin that ran on this model."""
         machine = MachineState.from_dict(shown.machine)
-        return cls(active, machine, OperatingPoint(**dict(shown.point)), shown.time_us)
+        return cls(active, machine, Point(**dict(shown.point)), shown.time_us)
 
 
 class LiveEstimate:
@@ -99,19 +107,19 @@ class LiveEstimate:
 
     Parameters
     ----------
-    active : ActiveModel
+    active : RunningModel
         The model version to run on; `swap` changes it without a gap.
     bounds : mapping of str to (float, float), optional
         Lowest and highest speed, load and ambient that are believed at all.
     """
 
     def __init__(
-        self, active: ActiveModel, bounds: Mapping[str, tuple[float, float]] | None = None
+        self, active: RunningModel, bounds: Mapping[str, tuple[float, float]] | None = None
     ) -> None:
         self._run_on(active)
         self._bounds = bounds or {}
         self.time_us: int | None = None
-        self.point: OperatingPoint | None = None
+        self.point: Point | None = None
         #: What the sensors said against what was expected, at the last step.
         self.innovations: Mapping[str, Innovation] = {}
         #: For how long it has followed temperatures, in s; of a machine that began at standstill,
@@ -182,7 +190,7 @@ class LiveEstimate:
         return EstimatedState(self.active, machine, self.point, self.time_us)
 
     def _note_surroundings(
-        self, duration_s: float, point: OperatingPoint, temperatures: Mapping[str, float]
+        self, duration_s: float, point: Point, temperatures: Mapping[str, float]
     ) -> None:
         """Follow the coldest of ambient and readings; a body remembers it for hours."""
         coldest_c = min([point.ambient_c, *temperatures.values()])
@@ -192,14 +200,15 @@ class LiveEstimate:
             forgotten = -math.expm1(-max(duration_s, 0.0) / _REMEMBERS_COLD_S)
             self._floor_c += forgotten * (coldest_c - self._floor_c)
 
-    def swap(self, active: ActiveModel) -> None:
+    def swap(self, active: RunningModel) -> None:
         """Go on with another model version from the present temperatures."""
         self._known_c = self._spread_k = None
+        self.innovations = {}  # those of the model before say nothing about this one
         if self._observer is not None:
             self._observer = self._observer.with_parameters(active.model, active.values)
         self._run_on(active)
 
-    def _run_on(self, active: ActiveModel) -> None:
+    def _run_on(self, active: RunningModel) -> None:
         self.active = active
         self._sensor_rows = active.model.sensor_matrix(active.model.sensor_names)
         self._joints = between_joints(active.model)
@@ -218,13 +227,13 @@ class LiveEstimate:
         Raises
         ------
         ValueError
-            If the machine cannot have such a speed, load or ambient; nothing is taken in then.
+            If the machine cannot have such a speed, load or ambient; nothing is used then.
         """
         error = step_together([self], now_us, [means])[0]
         if error is not None:
             raise error
 
-    def _due(self, now_us: int, means: Mapping[str, float]) -> tuple[Step, OperatingPoint] | None:
+    def _due(self, now_us: int, means: Mapping[str, float]) -> tuple[Observation, Point] | None:
         """What a step has to bring into the observer; None where it goes no further."""
         self._known_c = self._spread_k = None
         for name, (low, high) in self._bounds.items():
@@ -232,7 +241,7 @@ class LiveEstimate:
                 raise ValueError(
                     f"{name} is {means[name]:g}, expected a value from {low:g} to {high:g}"
                 )
-        temperatures = {name: value for name, value in means.items() if name.startswith("t_")}
+        temperatures = {name: value for name, value in means.items() if is_modelled(name)}
         self.innovations = {}
         self._ambient_measured |= AMBIENT in means
         point = self._operating_point(means, temperatures)
@@ -248,12 +257,14 @@ class LiveEstimate:
         if duration_s <= 0:
             return None
         speed_rpm, load_n, ambient_c = point.speed_rpm, point.load_n, point.ambient_c
-        return Step(duration_s, speed_rpm, load_n, ambient_c, point.inputs, temperatures), point
+        return Observation(
+            duration_s, speed_rpm, load_n, ambient_c, point.inputs, temperatures
+        ), point
 
     def _done(
-        self, now_us: int, step: Step, point: OperatingPoint, innovations: Mapping[str, Innovation]
+        self, now_us: int, step: Observation, point: Point, innovations: Mapping[str, Innovation]
     ) -> None:
-        """Note what the observer has taken in."""
+        """Record what the observer has used."""
         if step.measured:
             self.innovations = innovations
             self.followed_s += min(step.dt_s, _LONGEST_SEEN_S)
@@ -281,7 +292,7 @@ class LiveEstimate:
 
     def _operating_point(
         self, means: Mapping[str, float], temperatures: Mapping[str, float]
-    ) -> OperatingPoint | None:
+    ) -> Point | None:
         last = self.point
         speed_rpm = means.get(SPEED, last.speed_rpm if last else math.nan)
         load_n = means.get(LOAD, last.load_n if last else math.nan)
@@ -295,9 +306,9 @@ class LiveEstimate:
         if math.isnan(speed_rpm + load_n + ambient_c + sum(inputs)):
             return None
         # Friction does not ask for the direction of rotation.
-        return OperatingPoint(abs(speed_rpm), max(load_n, 0.0), ambient_c, inputs)
+        return Point(abs(speed_rpm), max(load_n, 0.0), ambient_c, inputs)
 
-    def _start(self, now_us: int, point: OperatingPoint, temperatures: Mapping[str, float]) -> None:
+    def _start(self, now_us: int, point: Point, temperatures: Mapping[str, float]) -> None:
         at_rest = self._ambient_measured and stands_at_ambient(
             point.speed_rpm, point.ambient_c, temperatures.values()
         )
@@ -350,7 +361,7 @@ class LiveEstimate:
             inputs = tuple(float(value) for value in kept.get("inputs", ()))
             if len(inputs) != len(self.active.model.input_names):
                 raise ValueError(f"kept estimate: {len(inputs)} inputs of another network")
-            point = OperatingPoint(kept["speed_rpm"], kept["load_n"], kept["ambient_c"], inputs)
+            point = Point(kept["speed_rpm"], kept["load_n"], kept["ambient_c"], inputs)
             time_us, ambient_measured = int(kept["time_us"]), bool(kept["ambient_measured"])
             # Version 0.1.0 did not keep it: counted from now on.
             followed_s = float(kept.get("followed_s", 0.0))
@@ -385,7 +396,7 @@ def step_together(
         (estimates,) what `LiveEstimate.step` raises, None where all went well.
     """
     errors: list[Exception | None] = [None] * len(estimates)
-    due: list[tuple[int, Step, OperatingPoint]] = []
+    due: list[tuple[int, Observation, Point]] = []
     for k, (estimate, given) in enumerate(zip(estimates, means, strict=True)):
         try:
             found = estimate._due(now_us, given)
@@ -400,7 +411,7 @@ def step_together(
     try:
         results = advance(observers, steps)
     except Exception as error:
-        # Nobody knows how far each has come: all of them begin again.
+        # How far each has come is not known: all of them begin again.
         for k, _, _ in due:
             estimates[k].stop()
         results = [error] * len(due)

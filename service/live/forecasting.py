@@ -22,19 +22,18 @@ from service.documents.forecasts import (
 from service.domain.channels import OPERATING_CHANNELS
 from service.domain.requests import ProfileStep
 from service.live import presentation
-from service.live.carrying import Ensemble, carried, is_like, keep_ensemble
 from service.live.estimate import EstimatedState, LiveEstimate
-from service.live.ledger import LiveIssue, issued_forecast
+from service.live.issues import LiveIssue
 from service.live.outlook import Outlook, StepOutlook, step_outlooks
 from service.live.presentation import ForecastSummary
-from service.live.profiles import Step, held, operating_profile, planned
+from service.live.profiles import StepAhead, held, operating_profile, planned
 from service.live.readings import Readings, allowed_age_s
-from service.site.asset_section import AssetSection, Limits
-from service.store.forecast_records import IssuedForecast
+from service.live.reuse import Ensemble, is_like, keep_ensemble, renewal_phase, reuse
+from service.site.asset_section import AssetSection, LimitsSection
 from twin_core.forecasting import Forecast, forecast
 from twin_core.forecasting.margins import heaviest_margin
-from twin_core.forecasting.runaway import RunawayMargin
-from twin_core.profiles import OperatingPoint
+from twin_core.forecasting.runaway import RunawayDistance
+from twin_core.profiles import Point
 from twin_core.simulation import OperatingProfile
 
 FORECAST_ROW_S = 60.0
@@ -47,23 +46,39 @@ _PLAN_MAX_AGE_S = 30.0
 
 
 class _Live(NamedTuple):
-    """A live forecast, what tags and verdicts need of it, and the ensemble of its intervals."""
+    """A live forecast, what tags and verdicts need of it, and the ensemble of its intervals.
+
+    `result` is what is shown, for those who follow the forecasts.
+    """
 
     result: Forecast
-    margin: RunawayMargin | None
+    margin: RunawayDistance | None
     summary: ForecastSummary
     steps: tuple[StepOutlook, ...]
     ensemble: Ensemble | None
     intervals_us: int
 
 
-class _Latest(NamedTuple):
-    """The latest live forecast as far as it is shown."""
+class _Reuse(NamedTuple):
+    """What a forecast with the intervals of an earlier ensemble is made of."""
 
-    result: Forecast
-    margin: RunawayMargin | None
+    kept: Ensemble
+    state: EstimatedState
+    profile: OperatingProfile
+    limits: Mapping[str, LimitsSection]
+
+
+class _Latest(NamedTuple):
+    """The latest live forecast as far as it is shown.
+
+    One with earlier intervals is made again, to the bit, for who asks: of hundreds of machines
+    hardly one is looked at, and each would hold 70 kB more.
+    """
+
+    result: Forecast | _Reuse
+    margin: RunawayDistance | None
     summary: ForecastSummary
-    steps: Sequence[Step]
+    steps: Sequence[StepAhead]
     model_version: int
     missing: Sequence[str]
     intervals_us: int
@@ -74,7 +89,7 @@ class Forecasting:
     """Forecasts along the controller's plan, or with the present point held.
 
     An ensemble is made where a plan lies ahead, a limit is near, the operation is not known or
-    somebody looks; else the intervals of the last one are carried on, see `service.live.carrying`.
+    somebody looks; else the intervals of the last one are used again, see `service.live.reuse`.
 
     Parameters
     ----------
@@ -97,8 +112,6 @@ class Forecasting:
         What tags show of it, and when it exceeds which limit.
     outlook : Outlook or None
         The same for every step of it; None before the first.
-    issue : LiveIssue or None
-        The latest forecast as the ledger may keep it; None where the operation was not known.
     """
 
     def __init__(
@@ -109,30 +122,36 @@ class Forecasting:
         clock: Clock,
         executor: Executor,
     ) -> None:
-        self._limits: Mapping[str, Limits] = settings.limits
+        self._limits: Mapping[str, LimitsSection] = settings.limits
+        self._phase = renewal_phase(settings.id)
         self._estimate = estimate
         self._readings = readings
         self._clock = clock
         self._executor = executor
         self.plan: PlannedProfile | None = None
         self._latest: _Latest | None = None
-        self._carried_on = False
+        self._reused = False
         self.summary: ForecastSummary | None = None
         self.outlook: Outlook | None = None
-        self.issue: LiveIssue | None = None
+        self._issue: LiveIssue | None = None
         self._ensemble: Ensemble | None = None
         self._looked_us: int | None = None
 
-    def change_limits(self, limits: Mapping[str, Limits]) -> None:
-        """Tell of other limits; what was forecast of those before is gone."""
+    def change_limits(self, limits: Mapping[str, LimitsSection]) -> None:
+        """Set other limits; what was forecast of those before is gone."""
         self._limits = limits
         self._latest = self._ensemble = None
-        self.summary = self.outlook = self.issue = None
+        self.summary = self.outlook = self._issue = None
+
+    def take_issue(self) -> LiveIssue | None:
+        """Give the latest forecast, once, to what follows it; None of an unknown operation."""
+        issue, self._issue = self._issue, None
+        return issue
 
     def look(self) -> bool:
-        """Take note that somebody looks; returns whether the latest has intervals of earlier."""
+        """Record that somebody looks; returns whether the latest has intervals of earlier."""
         self._looked_us = self._clock.now_us()
-        return self._carried_on
+        return self._reused
 
     @property
     def latest(self) -> LiveForecast | None:
@@ -143,8 +162,14 @@ class Forecasting:
         made = self._latest
         if made is None:
             return None
+        result = made.result
+        if isinstance(result, _Reuse):
+            again = reuse(*result)
+            if again is None:
+                raise RuntimeError("a forecast was made with intervals that cannot be reused")
+            result = _shown(again)
         return LiveForecast(
-            **dict(_document(made.result, made.margin, made.summary, self._limits)),
+            **dict(_document(result, made.margin, made.summary, self._limits)),
             model_version=made.model_version,
             profile=presentation.steps_document(made.steps),
             missing=list(made.missing),
@@ -153,9 +178,15 @@ class Forecasting:
             planned=made.planned,
         )
 
-    def age_s(self, now_us: int) -> float:
+    @property
+    def has_begun(self) -> bool:
+        """Whether there is a state that a forecast can start from."""
+        return self._estimate.started
+
+    def age_s(self) -> float:
         """Process seconds since the state that the live forecast starts from; NaN before it."""
-        return math.nan if self.summary is None else (now_us - self.summary.made_us) / 1e6
+        made = self.summary
+        return math.nan if made is None else (self._clock.now_us() - made.made_us) / 1e6
 
     def take_plan(self, plan: PlannedProfile) -> bool:
         """Follow a plan from now on; returns whether it is another one than before."""
@@ -186,14 +217,15 @@ class Forecasting:
         kept = self._ensemble if alone and not self._is_looked_at(made_us) else None
         loop, limits = asyncio.get_running_loop(), self._limits
         live = await loop.run_in_executor(
-            self._executor, _make_live, state, steps, profile, limits, kept, alone
+            self._executor, _make_live, state, steps, profile, limits, kept, alone, self._phase
         )
         if limits is not self._limits:
             return False
-        self._ensemble, self._carried_on = live.ensemble, live.intervals_us != made_us
+        self._ensemble, self._reused = live.ensemble, live.intervals_us != made_us
         summary = live.summary
+        again = None if live.ensemble is not kept or kept is None else kept
         self._latest = _Latest(
-            live.result,
+            live.result if again is None else _Reuse(again, state, profile, limits),
             live.margin,
             summary,
             steps,
@@ -202,14 +234,14 @@ class Forecasting:
             live.intervals_us,
             has_plan,
         )
-        self.summary, self.outlook, self.issue = summary, None, None
+        self.summary, self.outlook, self._issue = summary, None, None
         if not missing:
             plan = self.plan if has_plan else None
-            self.issue = LiveIssue(state, steps, live.result, plan)
+            self._issue = LiveIssue(state, steps, live.result, plan)
             self.outlook = Outlook(made_us, version, live.steps, summary.crossings)
         return True
 
-    def steps_ahead(self, now_us: int) -> list[Step]:
+    def steps_ahead(self, now_us: int) -> list[StepAhead]:
         """What the machine is going to do, as far as that is known."""
         point = self._estimate.point
         if point is None:
@@ -220,7 +252,7 @@ class Forecasting:
                     *self._estimate.active.model.input_names,
                 )
             )
-            point = OperatingPoint(speed_rpm, load_n, ambient_c, tuple(inputs))
+            point = Point(speed_rpm, load_n, ambient_c, tuple(inputs))
         if self.plan is not None and self._has_plan(now_us):
             return planned(self.plan, now_us, point, HORIZON_S)
         return held(point, HORIZON_S)
@@ -240,16 +272,17 @@ class Forecasting:
 
 def _make_live(
     state: EstimatedState,
-    steps: Sequence[Step],
+    steps: Sequence[StepAhead],
     profile: OperatingProfile,
-    limits: Mapping[str, Limits],
+    limits: Mapping[str, LimitsSection],
     kept: Ensemble | None,
     keeps: bool,
+    phase: float,
 ) -> _Live:
     """Carry the kept ensemble on where that is right, else make one, and keep it if wanted."""
     result, margin, ensemble = None, None, kept
-    if kept is not None and is_like(kept, state, profile):
-        result, margin = carried(kept, state, profile, limits), kept.margin
+    if kept is not None and is_like(kept, state, profile, phase):
+        result, margin = reuse(kept, state, profile, limits), kept.margin
     if result is None:
         (result, margin), ensemble = _make(state, profile), None
     summary = presentation.summarize(result, limits, state.time_us)
@@ -257,18 +290,21 @@ def _make_live(
     intervals_us = state.time_us if ensemble is None else ensemble.state.time_us
     if ensemble is None and keeps:
         ensemble = keep_ensemble(result, margin, state, profile, limits)
-    shown = replace(
+    return _Live(_shown(result), margin, summary, outlooks, ensemble, intervals_us)
+
+
+def _shown(result: Forecast) -> Forecast:
+    """To the figures that are shown, in half the memory, and without the members."""
+    return replace(
         result,
-        # To the figures that are shown, in half the memory.
         quantiles=np.round(result.quantiles, QUANTILE_DECIMALS).astype(np.float32),
         members_c=np.empty((0, 0, 0)),
     )
-    return _Live(shown, margin, summary, outlooks, ensemble, intervals_us)
 
 
 def _make(
     state: EstimatedState, profile: OperatingProfile
-) -> tuple[Forecast, RunawayMargin | None]:
+) -> tuple[Forecast, RunawayDistance | None]:
     active = state.active
     of = active.model, active.posterior, state.machine, profile
     margin = heaviest_margin(*of) if active.posterior.identified else None
@@ -277,9 +313,9 @@ def _make(
 
 def _document(
     result: Forecast,
-    margin: RunawayMargin | None,
+    margin: RunawayDistance | None,
     summary: ForecastSummary,
-    limits: Mapping[str, Limits],
+    limits: Mapping[str, LimitsSection],
     nodes: Sequence[str] | None = None,
 ) -> ForecastDocument:
     return forecast_document(
@@ -293,19 +329,31 @@ def _document(
 
 def what_if_document(
     state: EstimatedState,
-    limits: Mapping[str, Limits],
+    limits: Mapping[str, LimitsSection],
     profile: Sequence[ProfileStep],
     step_s: float | None,
     nodes: Sequence[str] | None,
     missing: Sequence[str] = (),
 ) -> WhatIf:
-    """Forecast a profile from a state, as the REST interface shows it.
+    """Forecast a profile from a state, as the REST interface shows it; see `issue_what_if`."""
+    return issue_what_if(state, limits, profile, step_s, nodes, missing)[0]
+
+
+def issue_what_if(
+    state: EstimatedState,
+    limits: Mapping[str, LimitsSection],
+    profile: Sequence[ProfileStep],
+    step_s: float | None,
+    nodes: Sequence[str] | None,
+    missing: Sequence[str] = (),
+) -> tuple[WhatIf, LiveIssue]:
+    """Forecast a profile from a state, as the REST interface shows it, and as it was issued.
 
     Parameters
     ----------
     state : EstimatedState
         Where the forecast starts from.
-    limits : mapping of str to Limits
+    limits : mapping of str to LimitsSection
         By sensor.
     profile : sequence of ProfileStep
         What the machine is to do.
@@ -317,45 +365,21 @@ def what_if_document(
         Operating channels without a usable value.
     """
     steps = _steps(state, profile)
-    made = _what_if(state, steps, step_s)
-    return _what_if_answer(state, limits, steps, made, nodes, missing)
-
-
-def what_if_to_keep(
-    settings: AssetSection,
-    state: EstimatedState,
-    profile: Sequence[ProfileStep],
-    step_s: float | None,
-    nodes: Sequence[str] | None,
-    readings_c: Mapping[str, float | None],
-) -> tuple[WhatIf, IssuedForecast | None]:
-    """Forecast a profile as `what_if_document` does, and give what is kept of it.
-
-    Nothing is where the profile is shorter than the shortest lead time.
-
-    Parameters
-    ----------
-    settings, state, profile, step_s, nodes
-        The asset, where the forecast starts from, and what is asked for.
-    readings_c
-        What its sensors say now.
-    """
-    steps = _steps(state, profile)
-    made = _what_if(state, steps, step_s)
-    issued = issued_forecast(
-        settings.id,
-        LiveIssue(state, steps, made[0], None),
-        "asked",
-        settings.low_risk.region,
-        settings.channels,
-        readings_c,
+    ahead = operating_profile(steps, step_s or FORECAST_ROW_S, state.point.inputs)
+    result, margin = _make(state, ahead)
+    summary = presentation.summarize(result, limits, state.time_us)
+    answer = WhatIf(
+        **dict(_document(result, margin, summary, limits, nodes)),
+        model_version=state.active.version,
+        profile=presentation.steps_document(steps),
+        missing=list(missing),
     )
-    return _what_if_answer(state, settings.limits, steps, made, nodes, ()), issued
+    return answer, LiveIssue(state, steps, result, None)
 
 
-def _steps(state: EstimatedState, profile: Sequence[ProfileStep]) -> list[Step]:
+def _steps(state: EstimatedState, profile: Sequence[ProfileStep]) -> list[StepAhead]:
     return [
-        Step(
+        StepAhead(
             step.duration_s,
             step.speed_rpm,
             step.load_n,
@@ -363,31 +387,6 @@ def _steps(state: EstimatedState, profile: Sequence[ProfileStep]) -> list[Step]:
         )
         for step in profile
     ]
-
-
-def _what_if(
-    state: EstimatedState, steps: Sequence[Step], step_s: float | None
-) -> tuple[Forecast, RunawayMargin | None]:
-    ahead = operating_profile(steps, step_s or FORECAST_ROW_S, state.point.inputs)
-    return _make(state, ahead)
-
-
-def _what_if_answer(
-    state: EstimatedState,
-    limits: Mapping[str, Limits],
-    steps: Sequence[Step],
-    made: tuple[Forecast, RunawayMargin | None],
-    nodes: Sequence[str] | None,
-    missing: Sequence[str],
-) -> WhatIf:
-    result, margin = made
-    summary = presentation.summarize(result, limits, state.time_us)
-    return WhatIf(
-        **dict(_document(result, margin, summary, limits, nodes)),
-        model_version=state.active.version,
-        profile=presentation.steps_document(steps),
-        missing=list(missing),
-    )
 
 
 def _beyond_times(plan: PlannedProfile) -> list[tuple[float, ...]]:

@@ -28,7 +28,7 @@ class Guard:
 
     @contextlib.contextmanager
     def __call__(self) -> Iterator[None]:
-        """Guard the work of a ``with`` block; `failing` tells how it went."""
+        """Guard the work of a ``with`` block; `failing` says how it went."""
         try:
             yield
         except Exception:

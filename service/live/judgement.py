@@ -1,7 +1,8 @@
 """Makes the verdict of a running asset from what is there at the moment."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 from adapters.protocol import Clock
 from adapters.samples import Quality, Sample, is_good
@@ -10,11 +11,12 @@ from service.clock import rfc3339
 from service.documents.tags import Tag, tag
 from service.documents.verdicts import CODES, VerdictDocument
 from service.domain.channels import AMBIENT
+from service.live.called_steps import NotSafeCall, called_steps_of, called_steps_to_rows
 from service.live.estimate import LiveEstimate
 from service.live.forecasting import Forecasting
 from service.live.outlook import Outlook
 from service.live.readings import Readings
-from service.live.verdict import Evidence, judge, missing_operation
+from service.live.verdict import Evidence, called_steps, judge, missing_operation
 from service.site.asset_section import AssetSection
 from service.site.required_channels import required_channels
 
@@ -58,16 +60,33 @@ class Judgement:
         self._forecasting = forecasting
         self._book = book
         self._clock = clock
-        self._told: dict[str, tuple[int, str]] = {}
+        self._published: dict[str, tuple[int, str]] = {}
         self._required = frozenset(required_channels(settings))
         # What of each required channel a verdict depends on, and what the last verdict lacked.
         self._seen: dict[str, tuple[bool, int]] = {}
         self._missing: frozenset[str] = frozenset()
+        self._called: tuple[NotSafeCall, ...] = ()
 
     def change(self, settings: AssetSection) -> None:
         """Judge by other limits; the next samples are news."""
+        if settings.limits != self._settings.limits:
+            self._called = ()
         self._settings = settings
         self._seen = {}
+
+    def to_rows(self) -> list[list[float]]:
+        """Steps that were called *not safe*, for the next start."""
+        return called_steps_to_rows(self._called)
+
+    def restore(self, rows: Sequence[Sequence[float]]) -> None:
+        """Go on from the steps that were called *not safe* before.
+
+        Raises
+        ------
+        ValueError
+            Where they are of another form.
+        """
+        self._called = called_steps_of(rows)
 
     def document(self, running: bool) -> VerdictDocument:
         """Give the verdict of this moment.
@@ -78,13 +97,15 @@ class Judgement:
             Whether the asset's runtime is at work.
         """
         now_us = self._clock.now_us()
-        judged = judge(self._evidence(now_us, running))
+        evidence = self._evidence(now_us, running)
+        self._called = called_steps(evidence)
+        judged = judge(replace(evidence, called=self._called))
         self._missing = frozenset(judged.missing)
         document = VerdictDocument(**dict(judged), time=rfc3339(now_us))
-        for name, verdict in (("now", document.now), ("next_step", document.next_step)):
+        for name, verdict in document.by_name.items():
             code = CODES[verdict.word]
-            if self._told.get(name, (None,))[0] != code:
-                self._told[name] = code, document.time
+            if self._published.get(name, (None,))[0] != code:
+                self._published[name] = code, document.time
         return document
 
     def is_news(self, samples: Iterable[Sample]) -> bool:
@@ -133,8 +154,8 @@ class Judgement:
         Unknown is a good value, too: who takes good values only must not keep an old *safe*.
         """
         return {
-            f"verdict.{name}": tag(CODES[verdict.word], "", Quality.GOOD, self._told[name][1])
-            for name, verdict in (("now", document.now), ("next_step", document.next_step))
+            f"verdict.{name}": tag(CODES[verdict.word], "", Quality.GOOD, self._published[name][1])
+            for name, verdict in document.by_name.items()
         }
 
     @property
@@ -155,7 +176,7 @@ class Judgement:
             readings=self._readings,
             now_us=now_us,
             twin_runs=running and self._follows(now_us),
-            identified=active.identified_at_us is not None,
+            identified=active.identified,
             outlook=self._outlook(now_us),
             returning=frozenset(
                 channel
@@ -163,6 +184,7 @@ class Judgement:
                 if kind == "measured limit" and channel in self._settings.limits
             ),
             assumed_ambient_c=self.assumed_ambient_c,
+            called=self._called,
         )
 
     def _follows(self, now_us: int) -> bool:

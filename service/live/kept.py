@@ -44,16 +44,8 @@ class KeptEstimate(TypedDict, total=False):
     followed_s: float
 
 
-class KeptLedger(TypedDict):
-    """Which live forecast was kept last: its time, model version and step of the plan."""
-
-    time_us: int
-    version: int
-    step: list[float] | None
-
-
 class KeptState(KeptEstimate, total=False):
-    """All of it."""
+    """All of it; what follows the forecasts adds what it knows under its name."""
 
     watch: KeptWatch
-    ledger: KeptLedger | None
+    called_steps: list[list[float]]

@@ -1,15 +1,16 @@
 """What a forecast says of each step ahead: how likely a limit is exceeded, or only left behind."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import NDArray
 
+from adapters.samples import PlanStep
 from service.live.presentation import LimitCrossing, LimitCrossings
-from service.live.profiles import Step
-from service.site.asset_section import Limits
+from service.live.profiles import StepAhead
+from service.site.asset_section import LimitsSection
 from twin_core.forecasting import Forecast
 
 # Steps of one and the same operating point count as one.
@@ -37,12 +38,24 @@ class ChannelOutlook:
     cools : bool
         Whether the step begins at or above the warning (or within 1 K), brings the median below
         it and raises nothing.
+    begins_over : bool
+        Whether the median is at or above the warning where the step begins.
+    left : tuple of (float, LimitCrossing)
+        Of one that cools: the warning from a time on to the end of the step. What is left behind
+        is not ahead any more.
     """
 
     warning: LimitCrossing
     alarm: LimitCrossing
     upper_c: float
     cools: bool
+    begins_over: bool = False
+    left: tuple[tuple[float, LimitCrossing], ...] = ()
+
+    def from_time(self, time_s: float) -> "ChannelOutlook":
+        """The same of what is left of the step at a time."""
+        passed = [crossing for at_s, crossing in self.left if at_s <= time_s]
+        return replace(self, warning=passed[-1]) if passed else self
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +70,9 @@ class StepOutlook:
         Its operating point.
     channels : mapping of str to ChannelOutlook
         Every limited temperature.
+    plan : PlanStep or None
+        What the controller plans for it, with the whole time that is left of it, also beyond the
+        horizon; None where nothing is planned.
     """
 
     start_s: float
@@ -64,6 +80,14 @@ class StepOutlook:
     speed_rpm: float
     load_n: float
     channels: Mapping[str, ChannelOutlook]
+    plan: PlanStep | None = None
+
+    def from_time(self, time_s: float) -> "StepOutlook":
+        """The same of what is left of the step at a time."""
+        if not any(channel.left for channel in self.channels.values()):
+            return self
+        left = {name: channel.from_time(time_s) for name, channel in self.channels.items()}
+        return replace(self, channels=left)
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +113,7 @@ class Outlook:
 
 
 def step_outlooks(
-    forecast: Forecast, steps: Sequence[Step], limits: Mapping[str, Limits]
+    forecast: Forecast, steps: Sequence[StepAhead], limits: Mapping[str, LimitsSection]
 ) -> tuple[StepOutlook, ...]:
     """Judge every distinct step of a forecast.
 
@@ -99,7 +123,7 @@ def step_outlooks(
         The forecast; its rows hold every change of step.
     steps : sequence of Step
         What it follows.
-    limits : mapping of str to Limits
+    limits : mapping of str to LimitsSection
         By sensor or node.
     """
     return tuple(
@@ -113,39 +137,68 @@ def step_outlooks(
                 for name, pair in limits.items()
                 if name in forecast.names
             },
+            step.plan,
         )
         for start_s, end_s, step in _distinct(steps)
     )
 
 
-def _distinct(steps: Sequence[Step]) -> list[tuple[float, float, Step]]:
-    merged: list[tuple[float, float, Step]] = []
+def _distinct(steps: Sequence[StepAhead]) -> list[tuple[float, float, StepAhead]]:
+    merged: list[tuple[float, float, StepAhead]] = []
     end_s = 0.0
     for step in steps:
         start_s, end_s = end_s, end_s + step.duration_s
         if merged:
             first_s, _, last = merged[-1]
-            if (
-                abs(last.speed_rpm - step.speed_rpm) < _SAME_RPM
-                and abs(last.load_n - step.load_n) < _SAME_N
-            ):
-                merged[-1] = first_s, end_s, last
+            before, after = last.plan or last, step.plan or step
+            if same_point(before.speed_rpm, before.load_n, after.speed_rpm, after.load_n):
+                merged[-1] = first_s, end_s, _longer(last, step)
                 continue
         merged.append((start_s, end_s, step))
     return merged
 
 
+def same_point(
+    speed_rpm: float, load_n: float, other_speed_rpm: float, other_load_n: float
+) -> bool:
+    """Return whether two steps have one and the same operating point."""
+    return abs(speed_rpm - other_speed_rpm) < _SAME_RPM and abs(load_n - other_load_n) < _SAME_N
+
+
+def _longer(step: StepAhead, following: StepAhead) -> StepAhead:
+    if step.plan is None or following.plan is None:
+        return step
+    whole_s = step.plan.duration_s + following.plan.duration_s
+    return replace(step, plan=step.plan._replace(duration_s=whole_s))
+
+
 def _channel(
-    forecast: Forecast, name: str, pair: Limits, start_s: float, end_s: float
+    forecast: Forecast, name: str, pair: LimitsSection, start_s: float, end_s: float
 ) -> ChannelOutlook:
     rows = np.flatnonzero((forecast.time_s >= start_s - 1e-3) & (forecast.time_s <= end_s + 1e-3))
     quantiles = forecast.quantile(name)[:, rows]
+    cools = _cools(quantiles, pair.warning)
     return ChannelOutlook(
         warning=_exceeded(forecast, name, pair.warning, rows),
         alarm=_exceeded(forecast, name, pair.alarm, rows),
         upper_c=float(np.max(quantiles[_HIGHEST])),
-        cools=_cools(quantiles, pair.warning),
+        cools=cools,
+        left=_left(forecast, name, pair.warning, rows) if cools else (),
+        begins_over=bool(quantiles[_MEDIAN, 0] >= pair.warning),
     )
+
+
+def _left(
+    forecast: Forecast, name: str, limit_c: float, rows: NDArray[np.intp]
+) -> tuple[tuple[float, LimitCrossing], ...]:
+    """The limit from each row on, until nothing exceeds it."""
+    found: list[tuple[float, LimitCrossing]] = []
+    for first in range(rows.size):
+        crossing = _exceeded(forecast, name, limit_c, rows[first:])
+        found.append((float(forecast.time_s[rows[first]]), crossing))
+        if crossing.probability == 0.0:
+            break
+    return tuple(found)
 
 
 def _exceeded(

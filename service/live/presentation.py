@@ -16,8 +16,8 @@ from service.documents.measurements import SampleItem, sample_item
 from service.documents.profiles import ForecastStep
 from service.documents.tags import Tag, tag
 from service.live.estimate import LiveEstimate
-from service.live.profiles import Step
-from service.site.asset_section import Limits
+from service.live.profiles import StepAhead
+from service.site.asset_section import LimitsSection
 from service.store import Alarm
 from twin_core.forecasting import Forecast
 
@@ -49,7 +49,7 @@ LimitCrossings = Mapping[str, Mapping[str, LimitCrossing]]
 """By channel and level."""
 
 
-def limit_crossings(forecast: Forecast, limits: Mapping[str, Limits]) -> LimitCrossings:
+def limit_crossings(forecast: Forecast, limits: Mapping[str, LimitsSection]) -> LimitCrossings:
     """Crossings of every warning and alarm limit of a sensor, by channel and level.
 
     A node has none: a forecast keeps the members' paths of the sensors alone.
@@ -85,14 +85,16 @@ class ForecastSummary:
     crossings: LimitCrossings
 
 
-def summarize(forecast: Forecast, limits: Mapping[str, Limits], made_us: int) -> ForecastSummary:
+def summarize(
+    forecast: Forecast, limits: Mapping[str, LimitsSection], made_us: int
+) -> ForecastSummary:
     """Take from a forecast what tags and alarms need.
 
     Parameters
     ----------
     forecast : Forecast
         The forecast.
-    limits : mapping of str to Limits
+    limits : mapping of str to LimitsSection
         By sensor or node.
     made_us : int
         Process time of the state that it begins from.
@@ -122,7 +124,7 @@ def _shown(crossing: LimitCrossing) -> Crossing:
     )
 
 
-def limits_document(limits: Mapping[str, Limits]) -> dict[str, documents.Limits]:
+def limits_document(limits: Mapping[str, LimitsSection]) -> dict[str, documents.Limits]:
     """Show the limits of an asset."""
     return {
         channel: documents.Limits(warning=pair.warning, alarm=pair.alarm)
@@ -164,18 +166,20 @@ def estimate_tags(estimate: LiveEstimate, began: str, blind: bool = False) -> di
 
 
 def forecast_tags(
-    limits: Mapping[str, Limits],
+    limits: Mapping[str, LimitsSection],
     forecast: ForecastSummary | None,
     began: str,
     blind: bool = False,
+    *,
+    prior: bool = False,
 ) -> dict[str, Tag]:
     """Tags of the forecast's maximum and the times to the limits, for every limited channel.
 
     While the twin does not know the operation (``blind``) they have no value: quality "last
-    known".
+    known". Of a model that was never identified (``prior``) they are uncertain.
     """
     tags: dict[str, Tag] = {}
-    good = Quality.LAST_KNOWN if blind else Quality.GOOD
+    good = Quality.LAST_KNOWN if blind else Quality.UNCERTAIN if prior else Quality.GOOD
     waiting = Quality.WAITING_FOR_INITIAL_DATA
     for channel in limits:
         maximum, made = None, began
@@ -261,7 +265,7 @@ def samples_document(samples: Iterable[Sample]) -> list[SampleItem]:
     ]
 
 
-def steps_document(steps: Sequence[Step]) -> list[ForecastStep]:
+def steps_document(steps: Sequence[StepAhead]) -> list[ForecastStep]:
     """The profile that a forecast follows."""
     return [
         ForecastStep(

@@ -41,7 +41,7 @@ class _Pace:
     _count: int = 0
 
     def note(self, received_us: int) -> None:
-        """Take note of a receipt; samples received together are one."""
+        """Record a receipt; samples received together are one."""
         if received_us == self._last_us:
             return
         if not self._since_us or received_us < self._last_us:
@@ -81,7 +81,7 @@ class Readings:
     latest : dict of str to Sample
         Newest sample of each channel that had any.
     doubt : callable
-        Why the latest sample of a channel is not good, where a check or the source can tell; else
+        Why the latest sample of a channel is not good, where a check or the source says so; else
         empty.
     late : int
         Samples that came when a newer one of their channel was known already.
@@ -105,24 +105,34 @@ class Readings:
     def add(self, samples: Iterable[Sample]) -> list[Sample]:
         """Take in samples; returns those of this asset that are news, not late."""
         news: list[Sample] = []
+        latest, means = self.latest, self._means
         for sample in samples:
-            if sample.asset != self.asset:
+            asset, channel, time_us, value, quality, received_us = sample
+            if asset != self.asset:
                 continue
-            known = self.latest.get(sample.channel)
-            if known is not None and _is_late(sample, known):
+            known = latest.get(channel)
+            if known is not None and time_us < known.time_us and _is_late(sample, known):
                 self.late += 1
                 continue  # late data belong in the store, not on the screen
-            self.latest[sample.channel] = sample
+            latest[channel] = sample
             news.append(sample)
-            fresh = self._age_s(sample, sample.received_us) <= self.age_limit_s(sample.channel)
-            if fresh and sample.channel in self.learned_from_s:
-                self._paces.setdefault(sample.channel, _Pace()).note(sample.received_us)
-            if not (is_good(sample.quality) and math.isfinite(sample.value)):
+            # Of what is not older than its receipt no limit need be asked for.
+            fresh = time_us >= received_us or (
+                self._age_s(sample, received_us) <= self.age_limit_s(channel)
+            )
+            if fresh and channel in self.learned_from_s:
+                pace = self._paces.get(channel)
+                if pace is None:
+                    pace = self._paces[channel] = _Pace()
+                pace.note(received_us)
+            if not (is_good(quality) and math.isfinite(value)):
                 continue
             if not fresh:
                 continue  # a gateway sends what it kept while it was away: not the present
-            mean = self._means.setdefault(sample.channel, _Mean())
-            mean.total += sample.value
+            mean = means.get(channel)
+            if mean is None:
+                mean = means[channel] = _Mean()
+            mean.total += value
             mean.count += 1
         return news
 
@@ -142,14 +152,14 @@ class Readings:
         return allowed_age_s(max(floor_s, learned_s), self.rate)
 
     def is_silent(self, channel: str, now_us: int) -> bool:
-        """Tell whether nothing comes of a channel that has spoken: stale, or its line is lost."""
+        """Return whether nothing comes of a channel that has spoken: stale, or its line is lost."""
         sample = self.latest.get(channel)
         if sample is None:
             return False
         return sample.quality == Quality.COMM_FAILURE or self.is_stale(channel, now_us)
 
     def is_stale(self, channel: str, now_us: int) -> bool:
-        """Tell whether the channel has had no sample, of whatever quality, for too long."""
+        """Return whether the channel has had no sample, of whatever quality, for too long."""
         sample = self.latest.get(channel)
         age_s = (now_us - self.began_us) / 1e6 if sample is None else self._age_s(sample, now_us)
         return age_s > self.age_limit_s(channel)
@@ -190,6 +200,15 @@ class Readings:
         if not is_bad(sample.quality) and self.is_stale(channel, now_us):
             return Quality.LAST_KNOWN
         return sample.quality
+
+    def without_good_data(self, channels: Iterable[str], now_us: int) -> list[str]:
+        """Those of some channels whose latest sample is bad or old, in the order of their names."""
+        found = []
+        for channel in channels:
+            sample = self.latest.get(channel)
+            if sample is None or not is_good(sample.quality) or self.is_stale(channel, now_us):
+                found.append(channel)
+        return sorted(found)
 
     def reason(self, channel: str, now_us: int) -> str:
         """Say why the channel's value is not good now; empty when it is."""

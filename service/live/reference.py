@@ -4,15 +4,20 @@ The observer learns what its model lacks and stays on the measurements; next to 
 how far the machine has moved away from its model.
 """
 
+from collections.abc import Iterable, Sequence
+
 import numpy as np
+import structlog
 from numpy.typing import NDArray
 
-from service.live.estimate import ActiveModel
+from service.live.estimate import RunningModel
 from service.live.kept import KeptReference
 from twin_core.models import ThermalModel
 from twin_core.observer import Observer
-from twin_core.profiles import OperatingPoint
-from twin_core.simulation import SimulationError, advance
+from twin_core.profiles import Point
+from twin_core.simulation import advance
+
+_log = structlog.get_logger(__name__)
 
 
 class Reference:
@@ -21,8 +26,9 @@ class Reference:
     def __init__(self) -> None:
         self._temperatures_c: NDArray[np.float64] | None = None
         self._revolutions = 0.0
+        self._held: tuple[float, Point] | None = None
         # What a step needs of a model does not change; it is asked for once.
-        self._active: ActiveModel | None = None
+        self._active: RunningModel | None = None
         self._values: NDArray[np.float64] = np.empty(0)
         self._model: ThermalModel | None = None
         self._rows: dict[str, NDArray[np.float64]] = {}
@@ -41,23 +47,17 @@ class Reference:
         """Give it up."""
         self._temperatures_c = None
 
-    def step(self, active: ActiveModel, duration_s: float, point: OperatingPoint) -> None:
-        """Advance at a constant operating point; a model that runs away ends it."""
+    def hold(self, active: RunningModel, duration_s: float, point: Point) -> bool:
+        """Be held at an operating point by the next `advance_together`; says whether it needs to.
+
+        A model that runs away then ends.
+        """
         if self._temperatures_c is None or duration_s <= 0.0:
-            return
+            return False
         if active is not self._active:
             self._active, self._values = active, active.values
-        try:
-            self._temperatures_c, self._revolutions = advance(
-                active.model,
-                self._values,
-                point,
-                duration_s,
-                self._temperatures_c,
-                self._revolutions,
-            )
-        except SimulationError:
-            self.stop()
+        self._held = duration_s, point
+        return True
 
     def expected_c(self, model: ThermalModel, channel: str) -> float | None:
         """What the model alone expects a sensor to read; None before the start."""
@@ -88,3 +88,43 @@ class Reference:
             return
         if temperatures.shape == (len(model.node_names),) and np.isfinite(temperatures).all():
             self._temperatures_c, self._revolutions = temperatures, revolutions
+
+
+def advance_together(references: Iterable[Reference | None]) -> None:
+    """Advance models that are held at an operating point; those of one kind cost one call."""
+    of_model: dict[int, list[Reference]] = {}
+    for one in references:
+        if one is not None and one._active is not None and one._held is not None:
+            of_model.setdefault(id(one._active.model), []).append(one)
+    for alike in of_model.values():
+        try:
+            _advance(alike)
+        except ValueError:
+            # Whose it is that does not fit is not known; the machines run on without.
+            _log.exception("models_alone_not_advanced", count=len(alike))
+            for one in alike:
+                one.stop()
+
+
+def _advance(alike: Sequence[Reference]) -> None:
+    held = [one._held for one in alike if one._held is not None]
+    active = alike[0]._active
+    if active is None:
+        return
+    temperatures_c, revolutions = advance(
+        active.model,
+        np.array([one._values for one in alike]),
+        [point for _, point in held],
+        [duration_s for duration_s, _ in held],
+        np.array([one._temperatures_c for one in alike]),
+        np.array([one._revolutions for one in alike]),
+    )
+    finite = np.isfinite(temperatures_c[:, 0]).tolist()
+    for one, ends_c, turned, is_finite in zip(
+        alike, temperatures_c, revolutions.tolist(), finite, strict=True
+    ):
+        one._held = None
+        if is_finite:
+            one._temperatures_c, one._revolutions = ends_c.copy(), turned
+        else:
+            one.stop()

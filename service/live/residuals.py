@@ -112,7 +112,7 @@ class Residuals:
         for channel, innovation in innovations.items():
             self.charts[channel].add(innovation, duration_s, low_risk)
 
-    def begin_anew(self) -> None:
+    def restart(self) -> None:
         """Forget everything: another model has other residuals."""
         self.charts = {channel: self._new() for channel in self.charts}
 

@@ -4,12 +4,13 @@ from collections import defaultdict
 from collections.abc import Mapping
 
 from adapters.samples import Quality
+from service.domain.causes import has_own_alarm
 from service.live.readings import Readings
 from service.site.wiring import ChannelFacts
 
 
 class Sources:
-    """Tells a lost source from a lost channel.
+    """Distinguishes a lost source from a lost channel.
 
     A channel is lost alone when its source has sent something since the channel fell silent. As
     long as it has not, the source is lost: one cause, one alarm. After a source has come back its
@@ -50,11 +51,11 @@ class Sources:
         self._spoken |= set(spoken) & set(self._facts)
 
     def is_lost(self, source: str) -> bool | None:
-        """Tell whether the whole source is silent; None while it is waited for."""
+        """Return whether the whole source is silent; None while it is waited for."""
         return self._lost.get(source)
 
     def is_lost_alone(self, channel: str) -> bool | None:
-        """Tell whether the channel is silent while its source is not; None if that is open."""
+        """Return whether the channel is silent while its source is not; None if that is open."""
         return self._alone.get(channel)
 
     def look(self, now_us: int) -> None:
@@ -87,7 +88,7 @@ class Sources:
             return None
         if silent[channel] is None:
             return False
-        if len(self.channels[source]) == 1:
+        if not has_own_alarm(source, self.channels[source]):
             return True
         grace_us = 1e6 * self._readings.age_limit_s(channel)
         back_us = self._back_us.get(source)

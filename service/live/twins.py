@@ -1,19 +1,23 @@
-"""The running twins of a cell: stepped together, and what is new of each told, by one loop."""
+"""The running twins of a cell: one loop steps them, publishes what is new, and saves them."""
 
 import asyncio
 import contextlib
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 from adapters.protocol import Clock
 from service.live.asset import STEP_S, AssetRuntime
 from service.live.estimate import step_together
+from service.live.reference import advance_together
+from service.pauses import Steps
 
 #: Wall seconds between two looks for what is to be sent.
-TELL_EVERY_WALL_S = 0.25
+PUBLISH_PERIOD_WALL_S = 0.25
 #: Wall seconds between two groups of twins that are stepped.
 _GROUP_EVERY_WALL_S = 0.1
-#: Twins that are stepped, or told of, in one go: a sample that comes meanwhile waits for them.
+#: Wall seconds between two saves of a state, and how many parts of the twins take turns in them.
+SAVE_EVERY_WALL_S, _SAVE_TURNS = 5.0, 5
+#: Twins that are stepped, or published, in one go: a sample that comes meanwhile waits for them.
 _AT_ONCE = 50
 
 
@@ -27,10 +31,13 @@ class Twins:
     ----------
     clock : Clock
         Process time.
+    after_round : callable
+        Called when every twin has had its turn.
     """
 
-    def __init__(self, clock: Clock) -> None:
+    def __init__(self, clock: Clock, after_round: Callable[[], None] = lambda: None) -> None:
         self._clock = clock
+        self._after_round = after_round
         period_wall_s = max(STEP_S / clock.rate, _GROUP_EVERY_WALL_S)
         self._groups: list[list[AssetRuntime]] = [
             [] for _ in range(math.floor(period_wall_s / _GROUP_EVERY_WALL_S))
@@ -52,13 +59,16 @@ class Twins:
         finally:
             group.remove(runtime)
 
-    async def run(self) -> None:
-        """Work until cancelled."""
+    async def run(self, ready: asyncio.Event | None = None) -> None:
+        """Work until cancelled; steps begin when ``ready`` is set, where it is given."""
         async with asyncio.TaskGroup() as tasks:
-            tasks.create_task(self._step())
-            tasks.create_task(self._tell())
+            tasks.create_task(self._step(ready))
+            tasks.create_task(self._publish())
+            tasks.create_task(self._save())
 
-    async def _step(self) -> None:
+    async def _step(self, ready: asyncio.Event | None) -> None:
+        if ready is not None:
+            await ready.wait()
         wall_s = asyncio.get_running_loop().time
         due_wall_s = wall_s()
         while True:
@@ -71,19 +81,50 @@ class Twins:
                 now_us = self._clock.now_us()
                 means = [runtime.readings.take_means() for runtime in portion]
                 failures = step_together([one.estimate for one in portion], now_us, means)
-                for runtime, given, failure in zip(portion, means, failures, strict=True):
-                    runtime.stepped(now_us, given, failure)
+                advance_together(
+                    [
+                        runtime.stepped(now_us, failure)
+                        for runtime, failure in zip(portion, failures, strict=True)
+                    ]
+                )
+                steps = Steps()
+                for runtime, given in zip(portion, means, strict=True):
+                    if runtime.documents.running:  # it may have ended in a pause
+                        runtime.judge(now_us, given)
+                    await steps.pause()
                 await asyncio.sleep(0)
+            if self._turn == 0:
+                self._after_round()
 
-    async def _tell(self) -> None:
+    async def _publish(self) -> None:
+        wall_s = asyncio.get_running_loop().time
         while True:
-            runtimes = [runtime for group in self._groups for runtime in group]
-            for portion in _portions(runtimes):
-                now_us = self._clock.now_us()
+            for portion in _portions(self._all()):
+                now_us, now_wall_s = self._clock.now_us(), wall_s()
                 for runtime in portion:
-                    runtime.tell(now_us)
+                    runtime.publish(now_us, now_wall_s)
                 await asyncio.sleep(0)
-            await asyncio.sleep(TELL_EVERY_WALL_S)
+            await asyncio.sleep(PUBLISH_PERIOD_WALL_S)
+
+    async def _save(self) -> None:
+        """Save the states from time to time, however long the store takes for them.
+
+        A part of them at a time: each is a transaction, and the next one waits for it.
+        """
+        while True:
+            for turn in range(_SAVE_TURNS):
+                await asyncio.sleep(SAVE_EVERY_WALL_S / _SAVE_TURNS)
+                saved: list[tuple[AssetRuntime, asyncio.Future[None]]] = []
+                for portion in _portions(self._all()[turn::_SAVE_TURNS]):
+                    saved += [(one, done) for one in portion if (done := one.saving.begin())]
+                    await asyncio.sleep(0)
+                if saved:
+                    await asyncio.wait({done for _, done in saved})
+                for one, done in saved:
+                    one.saving.ended(None if done.cancelled() else done.exception())
+
+    def _all(self) -> list[AssetRuntime]:
+        return [runtime for group in self._groups for runtime in group]
 
 
 def _portions(runtimes: Sequence[AssetRuntime]) -> Iterator[Sequence[AssetRuntime]]:

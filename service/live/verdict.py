@@ -1,18 +1,28 @@
-"""Is the machine safe now, and is its next step: one rule for page, REST, tags and stream.
+"""Whether the machine is safe now, to the end of its present step, and in its next step.
 
-*Safe* needs its inputs: good and fresh temperatures, speed and load (ambient too where it is
-configured) and a twin that runs; the next step also needs an identified model and a forecast of
-it. Whatever is missing is named, and the word is then *unknown*. A temperature that is measured
-above its limit stands among the reasons all the same, with that limit.
+One rule for page, REST, tags and stream. *Safe* needs its inputs: good and fresh temperatures,
+speed and load (ambient too where it is configured) and a twin that runs; what lies ahead also
+needs an identified model and a forecast of it. Whatever is missing is named, and the word is then
+*unknown*. A temperature that is measured above its limit stands among the reasons all the same,
+with that limit. *Recovering* is a word for a limit that is exceeded, never for one that only will
+be.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from adapters.samples import meaning
+from service.clock import rfc3339
 from service.documents.limits import Level, Limit
-from service.documents.verdicts import Judgements, TimeToLimit, VerdictOf, Word
+from service.documents.verdicts import (
+    Judgements,
+    TimeToLimit,
+    VerdictOf,
+    VerdictOfPresentStep,
+    Word,
+)
 from service.domain.channels import AMBIENT, label
+from service.live.called_steps import NotSafeCall, call, call_of, span_us
 from service.live.outlook import ChannelOutlook, Outlook, StepOutlook
 from service.live.presentation import LimitCrossing
 from service.live.readings import Readings
@@ -50,6 +60,8 @@ class Evidence:
         Channels with a measured-limit alarm that is there still.
     assumed_ambient_c : float or None
         What is taken for the ambient temperature where no channel measures it.
+    called : tuple of NotSafeCall
+        Steps that were called *not safe* before, see `called_steps`.
     """
 
     settings: AssetSection
@@ -60,6 +72,7 @@ class Evidence:
     outlook: Outlook | None
     returning: frozenset[str] = frozenset()
     assumed_ambient_c: float | None = None
+    called: tuple[NotSafeCall, ...] = ()
 
 
 def missing_channels(settings: AssetSection, readings: Readings, now_us: int) -> list[str]:
@@ -79,26 +92,63 @@ def missing_operation(settings: AssetSection, readings: Readings, now_us: int) -
 
 def judge(evidence: Evidence) -> Judgements:
     """Give the verdict, but for its time."""
+    steps = _steps_ahead(evidence)
+    absent, absent_ahead = _absent(evidence, steps)
+    ambient = _assumption(evidence)
+    why = {name: _why(name, evidence) for name in absent_ahead}
+    now = _now(evidence, absent, None if absent_ahead else steps[0], why, ambient)
+    if absent_ahead:
+        ahead = _verdict("unknown", tuple(why[name] for name in absent_ahead))
+        present, following = _present_step(ahead, None), ahead
+    else:
+        rest, *others = (_step(evidence, step, ambient) for step in steps[:2])
+        present = _present_step(_not_better(rest, now), _ends_at(evidence, steps[0]))
+        # With nothing planned after the present step, the question is about that one.
+        following = others[0] if others else rest
+    return Judgements(
+        now=now,
+        present_step=present,
+        next_step=following,
+        time_to_limit=None if absent_ahead else _time_to_limit(evidence),
+        missing=absent_ahead,
+    )
+
+
+def called_steps(evidence: Evidence) -> tuple[NotSafeCall, ...]:
+    """Steps that were called *not safe* as the next one, until they end or are changed.
+
+    A step that only begins over a limit, because of the one before, and cools is not among them.
+    While there is no word on what lies ahead, or no plan, all stay as they are.
+    """
+    steps = _steps_ahead(evidence)
+    outlook = evidence.outlook
+    if outlook is None or _absent(evidence, steps)[1] or steps[0].plan is None:
+        return tuple(one for one in evidence.called if one.end_us > evidence.now_us)
+    called = []
+    for place, step in enumerate(steps[:2]):
+        before = call_of(evidence.called, step, outlook.made_us)
+        if before is None and place == 1 and _rising(step, evidence.settings):
+            probability = _worst(step, evidence.settings)[1].warning.probability
+            before = call(step, outlook.made_us, evidence.now_us, probability)
+        if before is not None:
+            called.append(before)
+    return tuple(called)
+
+
+def _absent(evidence: Evidence, steps: Sequence[StepOutlook]) -> tuple[list[str], list[str]]:
+    """What the word for now lacks, and what the words for the steps lack."""
     settings = evidence.settings
     absent = missing_channels(settings, evidence.readings, evidence.now_us)
     if not settings.limits:
         absent.append("limits")
     if not evidence.twin_runs:
         absent.append(TWIN)
-    absent_ahead = list(absent)
+    ahead = list(absent)
     if not evidence.identified:
-        absent_ahead.append(IDENTIFIED_MODEL)
-    steps = _steps_ahead(evidence)
+        ahead.append(IDENTIFIED_MODEL)
     if not steps:
-        absent_ahead.append(FORECAST)
-    ambient = _assumption(evidence)
-    why = {name: _why(name, evidence) for name in absent_ahead}
-    return Judgements(
-        now=_now(evidence, absent, None if absent_ahead else steps[0], why, ambient),
-        next_step=_next(evidence, steps, absent_ahead, why, ambient),
-        time_to_limit=None if absent_ahead else _time_to_limit(evidence),
-        missing=absent_ahead,
-    )
+        ahead.append(FORECAST)
+    return absent, ahead
 
 
 # ------------------------------------------------------------------------------------- now
@@ -148,48 +198,90 @@ def _exceeded(evidence: Evidence) -> list[tuple[Limit, float]]:
     return sorted(found, key=lambda one: (one[0].level != "alarm", one[0].value_c - one[1]))
 
 
-# ------------------------------------------------------------------------------------- next step
-def _next(
-    evidence: Evidence,
-    steps: Sequence[StepOutlook],
-    absent: Sequence[str],
-    why: Mapping[str, str],
-    ambient: tuple[str, ...],
-) -> VerdictOf:
-    if absent or evidence.outlook is None:
-        return _verdict("unknown", tuple(why[name] for name in absent))
-    # With nothing planned after the present step, the question is about that one, to its end.
-    step = steps[1] if len(steps) > 1 else steps[0]
-    name, worst = _worst(step, evidence.settings)
+# ------------------------------------------------------------------------------------- the steps
+def _step(evidence: Evidence, step: StepOutlook, ambient: tuple[str, ...]) -> VerdictOf:
+    """The verdict on a step ahead, or on what is left of the present one."""
+    settings, made_us = evidence.settings, _made_us(evidence)
+    name, worst = _worst(step, settings)
     limit = _limit(evidence, name, "warning")
-    elapsed_s = (evidence.now_us - evidence.outlook.made_us) / 1e6
-    safe_below = evidence.settings.verdict.safe_below_probability
     probability = worst.warning.probability
+    likely = probability >= settings.verdict.safe_below_probability
+    called = call_of(evidence.called, step, made_us)
+    cools = likely and not _rising(step, settings)
     word: Word = "safe"
-    if probability >= safe_below:
-        word = "not safe" if _rising(step, evidence.settings) else "recovering"
+    if called is not None or likely:
+        recovers = called is None and cools and _over_now(evidence, step)
+        word = "recovering" if recovers else "not safe"
     point = f"{step.speed_rpm:.0f} rpm, {step.load_n:.0f} N"
-    reason = (
+    reasons = [
         f"{label(name)} over warning {limit.value_c:g} °C with {_percent(probability)} at {point}; "
         f"upper bound (97.5 %) {worst.upper_c:.1f} °C"
-    )
-    cooling = ("the step begins over the warning and cools below it",)
+    ]
+    if cools:
+        reasons.append("the step begins over the warning and cools below it")
+    if called is not None and not likely:
+        reasons.append(
+            f"the step was called not safe before ({_percent(called.probability)}): "
+            "that stands until it has ended or was changed"
+        )
     return _verdict(
         word,
-        (reason, *(cooling if word == "recovering" else ()), *ambient),
+        (*reasons, *ambient),
         limit,
         probability,
-        _seconds_left(worst.warning.earliest_s, elapsed_s),
+        _seconds_left(worst.warning.earliest_s, (evidence.now_us - made_us) / 1e6),
         worst.alarm.probability,
     )
 
 
+def _not_better(rest: VerdictOf, now: VerdictOf) -> VerdictOf:
+    """What is left of the present step begins now: it is never better than now."""
+    if now.word == "not safe" or (now.word == "recovering" and rest.word == "safe"):
+        return now
+    return rest
+
+
+def _present_step(verdict: VerdictOf, ends_at: str | None) -> VerdictOfPresentStep:
+    return VerdictOfPresentStep(**dict(verdict), ends_at=ends_at)
+
+
+def _ends_at(evidence: Evidence, step: StepOutlook) -> str | None:
+    """When the present step ends by the plan."""
+    return None if step.plan is None else rfc3339(span_us(step, _made_us(evidence))[1])
+
+
+def _made_us(evidence: Evidence) -> int:
+    """When the forecast was made; now where there is none."""
+    return evidence.now_us if evidence.outlook is None else evidence.outlook.made_us
+
+
+def _over_now(evidence: Evidence, step: StepOutlook) -> bool:
+    """Whether each temperature that a step brings below its warning is over it at this moment.
+
+    Measured, or its limit alarm has not returned; where nothing measures it, by the estimate that
+    the forecast starts from.
+    """
+    settings, present = evidence.settings, _steps_ahead(evidence)[0]
+    over = {limit.channel for limit, _ in _exceeded(evidence)} | evidence.returning
+    over |= {
+        name
+        for name, channel in present.channels.items()
+        if name not in evidence.readings.max_age_s and channel.begins_over
+    }
+    safe_below = settings.verdict.safe_below_probability
+    return all(
+        name in over
+        for name, channel in step.channels.items()
+        if channel.warning.probability >= safe_below
+    )
+
+
 def _steps_ahead(evidence: Evidence) -> list[StepOutlook]:
-    """Steps that are not over, if the forecast speaks of every limit."""
+    """What is left of the steps, if the forecast speaks of every limit."""
     if evidence.outlook is None:
         return []
     elapsed_s = (evidence.now_us - evidence.outlook.made_us) / 1e6
-    steps = [step for step in evidence.outlook.steps if step.end_s > elapsed_s]
+    steps = [step.from_time(elapsed_s) for step in evidence.outlook.steps if step.end_s > elapsed_s]
     limits = set(evidence.settings.limits)
     return steps if limits and all(limits <= set(step.channels) for step in steps) else []
 

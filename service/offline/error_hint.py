@@ -3,7 +3,7 @@
 A network is refused where it misses the readings by more than its error model allows for. Either it
 lacks something, or it follows the machine as well as so coarse a network can and the error model,
 by default that of a bearing on its bench, does not fit: too strict, or so wide that the priors
-outweigh the data. The residuals of a plain least-squares fit tell which.
+outweigh the data. The residuals of a plain least-squares fit show which.
 """
 
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from service.offline.tables import FloatArray
-from twin_core.identification import IdentificationData, identify
+from twin_core.identification import FitSettings, IdentificationData, identify
 from twin_core.identification.identify import IdentificationResult
 from twin_core.identification.problem import IdentificationProblem
 from twin_core.identification.whitening import Loss
@@ -29,7 +29,7 @@ _LEAST_K, _PLAIN_K = 0.05, 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Residuals:
+class SensorResiduals:
     """Errors of one sensor in one window, K, at times in s, and what it read, degC."""
 
     time_s: FloatArray
@@ -44,12 +44,18 @@ def hint(
     plain = replace(model, errors=replace(model.errors, slow_k=_PLAIN_K, offset_k=_PLAIN_K))
     try:
         first = identify(
-            plain, data, method="refine", samples=0, loss=loss, guess_z=failed.posterior.z
+            plain,
+            data,
+            FitSettings(method="refine", samples=0, loss=loss),
+            guess_z=failed.posterior.z,
         )
         errors = suggested_errors(_residuals(plain, data, first, loss), model.errors)
         again = replace(model, errors=errors)
         better = identify(
-            again, data, method="refine", samples=0, loss=loss, guess_z=first.posterior.z
+            again,
+            data,
+            FitSettings(method="refine", samples=0, loss=loss),
+            guess_z=first.posterior.z,
         )
     except ValueError:
         return "hint: change the network: no simulation of it holds with another error model either"
@@ -71,20 +77,10 @@ def hint(
     )
 
 
-def suggested_errors(series: Sequence[Residuals], present: ErrorModel) -> ErrorModel:
+def suggested_errors(series: Sequence[SensorResiduals], present: ErrorModel) -> ErrorModel:
     """Error model of residuals, by their variogram at one and two rows' distance.
 
-    Parameters
-    ----------
-    series
-        Of a plain least-squares fit.
-    present
-        Its offset is kept.
-
-    Returns
-    -------
-    ErrorModel
-        To two digits.
+    The present offset is kept; figures have two digits.
     """
     parts = [one for one in series if one.error_k.size >= 3]
     if not parts:
@@ -115,18 +111,20 @@ def _rounded(value: float) -> float:
 
 def _residuals(
     model: ThermalModel, data: IdentificationData, found: IdentificationResult, loss: Loss
-) -> list[Residuals]:
+) -> list[SensorResiduals]:
     errors = IdentificationProblem(model, data, loss=loss).errors_c(found.unknowns)
     series = []
     for window, by_sensor in zip(data.windows, errors, strict=True):
         rows = window.minutes.take(window.minutes.good)
         for name, error_k in by_sensor.items():
             known = np.isfinite(rows.temperatures_c[name])
-            series.append(Residuals(rows.time_s[known], error_k, rows.temperatures_c[name][known]))
+            series.append(
+                SensorResiduals(rows.time_s[known], error_k, rows.temperatures_c[name][known])
+            )
     return series
 
 
-def _unexplained(series: Sequence[Residuals]) -> float:
+def _unexplained(series: Sequence[SensorResiduals]) -> float:
     """Part of the readings' variance about their mean that is left in the errors."""
     error_k = np.concatenate([one.error_k for one in series])
     measured_c = np.concatenate([one.measured_c for one in series])

@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from service.domain.errors import BearingTwinError
 from service.offline.model_file import IdentifiedModel
 from service.offline.rows import (
     longest_step_s,
@@ -19,13 +20,13 @@ from service.site.machines.machine import Machine
 from twin_core.filtering import begin, run_filter
 from twin_core.forecasting import forecast
 from twin_core.forecasting.margins import heaviest_margin
-from twin_core.forecasting.runaway import RunawayMargin
+from twin_core.forecasting.runaway import RunawayDistance
 from twin_core.machine_state import MachineState
 from twin_core.minute_rows import MOST_ROWS, row_step_s
 from twin_core.models import ThermalModel
 from twin_core.observer import Observer
 from twin_core.operating_points import usual_levels
-from twin_core.profiles import OperatingPoint
+from twin_core.profiles import Point
 from twin_core.simulation import OperatingProfile, SimulationError, hold_operating_point
 from twin_core.windows import MinuteData, is_at_rest
 
@@ -40,11 +41,11 @@ _MOST_FOLLOWED = 5000
 _COLD_OFFSET_K, _COLD_SCATTER_K = 0.3, 0.1
 
 
-class UnusableHistoryError(ValueError):
+class UnusableHistoryError(BearingTwinError, ValueError):
     """A history that no state can be estimated from; one line for the user."""
 
 
-class FollowError(Exception):
+class FollowError(BearingTwinError):
     """The model cannot follow the history; one line for the user."""
 
 
@@ -64,7 +65,7 @@ class ProfileForecast:
     whole_run: dict[str, FloatArray]
     labels: tuple[str, ...]
     runaway_probability: float
-    runaway_margin: RunawayMargin | None
+    runaway_margin: RunawayDistance | None
     initial_state: dict[str, dict[str, float]]
     not_known: dict[str, float]
 
@@ -93,26 +94,16 @@ def cold(identified: IdentifiedModel, initial_temperature_c: float) -> MachineSt
         revolutions=float(identified.run_in.revolutions[0]),
         ambient_c=initial_temperature_c,
         inputs=inputs,
-        operating_point=OperatingPoint(0.0, 0.0, initial_temperature_c, inputs),
+        operating_point=Point(0.0, 0.0, initial_temperature_c, inputs),
     )
 
 
 def follow(identified: IdentifiedModel, history: Recording) -> MachineState:
     """Follow a history to its last row with the observer.
 
-    Parameters
-    ----------
-    identified
-        The model; it also tells the run-in state at the history's first row.
-    history
-        Recorded rows. Where they leave a gap of more than half an hour the estimate starts again.
-
-    Raises
-    ------
-    UnusableHistoryError
-        If there is no row with an operating point and a temperature.
-    FollowError
-        If the model runs away on the way.
+    ``history``: recorded rows. Where they leave a gap of more than half an hour the estimate starts
+    again. Raises `UnusableHistoryError` if there is no row with an operating point and a
+    temperature; `FollowError` if the model runs away on the way.
     """
     model = identified.model
     minutes = rows_of_recording(history, _step_followed(history, identified.machine, model))
@@ -132,7 +123,7 @@ def follow(identified: IdentifiedModel, history: Recording) -> MachineState:
             )
         last = (float(good.speed_rpm[-1]), float(good.load_n[-1]), float(good.ambient_c[-1]))
         # Rows at the end without an operating point: the last known one holds.
-        point = OperatingPoint(*last, good.inputs_at(-1))
+        point = Point(*last, good.inputs_at(-1))
         observer.predict(float(minutes.time_s[-1] - good.time_s[-1]), *last, point.inputs)
         if minutes.time_s[-1] > good.time_s[-1]:
             observer.update(minutes.readings(minutes.size - 1))

@@ -8,6 +8,7 @@ from typing import get_args
 import numpy as np
 
 from service.documents.models import IdentifiabilityDocument, Interval, ParameterDocument
+from service.domain.errors import BearingTwinError
 from service.offline.error_hint import hint
 from service.offline.model_file import IdentifiedModel, RunIn
 from service.offline.rows import contiguous, revolutions_at, rows_of_recording, step_of
@@ -15,9 +16,10 @@ from service.offline.searches import OTHER_SEARCHES
 from service.offline.tables import Recording
 from service.site.machines.machine import Machine
 from twin_core.identification import (
+    FitSettings,
     IdentificationData,
+    IdentificationProgress,
     IdentificationWindow,
-    Progress,
     identify,
     prior_posterior,
 )
@@ -29,7 +31,14 @@ from twin_core.identification.whitening import Loss
 from twin_core.naive import NAIVE_KINDS, fit_naive
 from twin_core.reduced_paper import REDUCED_NAME
 from twin_core.simulation import OperatingProfile
-from twin_core.sisters import Sister, SisterVerdict, WithSisters, identify_with_sisters, part_of
+from twin_core.sisters import (
+    Sister,
+    SisterVerdict,
+    WithSisters,
+    identify_with_sisters,
+    law_documents,
+    part_of,
+)
 from twin_core.windows import MinuteData, is_at_rest
 
 _FEWEST_ROWS = 3
@@ -41,11 +50,11 @@ _WITHOUT_SISTERS = 0.4
 _TIE_K = 0.25
 
 
-class UnusableDataError(ValueError):
+class UnusableDataError(BearingTwinError, ValueError):
     """Data or options that nothing can be identified with; one line for the user."""
 
 
-class FailedFitError(Exception):
+class FailedFitError(BearingTwinError):
     """The model does not follow the data, so it must not forecast; one line for the user."""
 
 
@@ -53,26 +62,15 @@ class FailedFitError(Exception):
 class Identified:
     """What was identified and how well it meets the data.
 
-    Attributes
-    ----------
-    model
-        For MODEL.json.
-    method
-        How it was identified.
-    rms_k, rms_by_sensor_k
-        Error in the data, over all sensors and of each; a robust loss gives outliers less weight.
-    naive_k
-        Error of the naive forecasts over the same rows, each made at the beginning of a window,
-        by kind and sensor; None where a sensor has no reading.
-    evaluations
-        Simulations of the data set.
-    windows, rows
-        How many contiguous spans and rows were used.
-    gates
-        What would be asked of it before it may forecast in the service, with the prior's parameters
-        in place of an active model: fit, ranges, residuals, predictions of what a fit had not seen.
-    sisters
-        What became of the sisters; None without any.
+    - ``rms_k``, ``rms_by_sensor_k``: error in the data, over all sensors and of each; a robust loss
+      gives outliers less weight.
+    - ``naive_k``: error of the naive forecasts over the same rows, each made at the beginning of a
+      window, by kind and sensor; None where a sensor has no reading.
+    - ``windows``, ``rows``: how many contiguous spans and rows were used.
+    - ``gates``: what would be asked of it before it may forecast in the service, with the prior's
+      parameters in place of an active model: fit, ranges, residuals, predictions of what a fit had
+      not seen.
+    - ``sisters``: what became of the sisters; None without any.
     """
 
     model: IdentifiedModel
@@ -156,6 +154,7 @@ class Identified:
             "gates": self.gates.to_dict(),
             "warnings": self.warnings,
             "sisters": None if self.sisters is None else self.sisters.to_dict(),
+            "laws": law_documents(model, posterior, self.sisters),
         } | ({} if view is None else {"paper_view": view})
 
 
@@ -163,18 +162,10 @@ class Identified:
 class Procedure:
     """How to identify.
 
-    Attributes
-    ----------
-    name
-        As the user named it.
-    method
-        Which parts: a search, a refinement, or both.
-    search
-        The global search in NOA's place; None for NOA.
-    budget
-        Evaluations of the search; None for the usual.
-    loss
-        Of the measurements; a robust one keeps outliers from bending the fit.
+    - ``method``: which parts: a search, a refinement, or both.
+    - ``search``: the global search in NOA's place; None for NOA.
+    - ``budget``: evaluations of the search; None for the usual.
+    - ``loss``: of the measurements; a robust one keeps outliers from bending the fit.
     """
 
     name: str
@@ -194,11 +185,8 @@ METHOD_NAMES: tuple[str, ...] = (
 def check_options(method: str, budget: int | None, seed: int, loss: str = "linear") -> Procedure:
     """Return how to identify, or complain.
 
-    Raises
-    ------
-    UnusableDataError
-        For an unknown method or loss, a method whose library is not installed, too small a budget
-        or a negative seed.
+    Raises `UnusableDataError` for an unknown method or loss, a method whose library is not
+    installed, too small a budget or a negative seed.
     """
     if seed < 0:
         raise UnusableDataError(f"--seed {seed}: expected 0 or more")
@@ -233,35 +221,19 @@ def identify_recording(
     at_rest: bool = False,
     family: str = "",
     sisters_of: Callable[[IdentificationData], Sequence[Sister]] | None = None,
-    progress: Callable[[Progress], None] | None = None,
+    progress: Callable[[IdentificationProgress], None] | None = None,
 ) -> Identified:
     """Identify a model from all rows of a recording.
 
-    Parameters
-    ----------
-    recording
-        Low-risk data.
-    machine
-        What the model is built of.
-    procedure, seed
-        How; see `twin_core.identification.identify`.
-    at_rest
-        The machine stood at ambient at the first row. Then a window after a gap that shows a
-        standing machine at ambient counts as such a start as well; otherwise every initial state
-        is estimated.
-    family
-        Of the machine; empty where it is not known.
-    sisters_of
-        Gives the machine's sisters, by its own rows; none by default.
-    progress
-        Called at every sweep and iteration.
+    Raises `UnusableDataError` if the data hold too little, or contradict ``at_rest``;
+    `FailedFitError` if the model does not follow the data.
 
-    Raises
-    ------
-    UnusableDataError
-        If the data hold too little, or contradict ``at_rest``.
-    FailedFitError
-        If the model does not follow the data.
+    - ``recording``: low-risk data.
+    - ``at_rest``: the machine stood at ambient at the first row. Then a window after a gap that
+      shows a standing machine at ambient counts as such a start as well; otherwise every initial
+      state is estimated.
+    - ``sisters_of``: gives the machine's sisters, by its own rows; none by default.
+    - ``progress``: called at every sweep and iteration.
     """
     model = machine.build()
     minutes = rows_of_recording(recording, step_of(recording, machine, model))
@@ -271,11 +243,13 @@ def identify_recording(
         result = identify(
             model,
             data,
-            method=procedure.method,
-            budget=procedure.budget,
-            search=procedure.search,
-            loss=procedure.loss,
-            seed=seed,
+            FitSettings(
+                method=procedure.method,
+                budget=procedure.budget,
+                search=procedure.search,
+                loss=procedure.loss,
+                seed=seed,
+            ),
             progress=progress if sisters is None else part_of(progress, 0.0, _WITHOUT_SISTERS),
         )
     except ValueError as error:
@@ -294,8 +268,7 @@ def identify_recording(
             data,
             sisters,
             result,
-            seed=seed,
-            loss=procedure.loss,
+            FitSettings(seed=seed, loss=procedure.loss),
             progress=part_of(progress, _WITHOUT_SISTERS, 1.0),
         )
         result = learned.result
@@ -334,10 +307,7 @@ def identify_recording(
 def data_set(recording: Recording, minutes: MinuteData, at_rest: bool) -> IdentificationData:
     """Windows of at least three rows with a temperature; shorter ones can teach nothing.
 
-    Raises
-    ------
-    UnusableDataError
-        If there is none, or the first row contradicts ``at_rest``.
+    Raises `UnusableDataError` if there is none, or the first row contradicts ``at_rest``.
     """
     sensors = [name for name, values in minutes.temperatures_c.items() if np.isfinite(values).any()]
     if not minutes.good.any() or not sensors:

@@ -10,16 +10,10 @@ def read_json_file(
 ) -> dict[str, Any]:
     """Read a file, and check that it is of a format.
 
-    Parameters
-    ----------
-    path
-        Of the file.
-    name, version
-        The format that is expected, as the file's ``format`` and ``format_version``.
-    error
-        What is raised, with one line for the user.
-    expected
-        For that line: what the file is not, and who writes one.
+    - ``name``, ``version``: the format that is expected, as the file's ``format`` and
+      ``format_version``.
+    - ``error``: what is raised, with one line for the user.
+    - ``expected``: for that line: what the file is not, and who writes one.
     """
     try:
         document = json.loads(path.read_text(encoding="utf-8"))

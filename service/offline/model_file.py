@@ -8,6 +8,7 @@ from typing import Any, Self
 import numpy as np
 from pydantic import ValidationError
 
+from service.domain.errors import BearingTwinError
 from service.files import replacing
 from service.offline.json_files import read_json_file
 from service.offline.rows import revolutions_at
@@ -31,7 +32,7 @@ _SAME_SHARE = 0.9
 _FRESHEST_REVOLUTIONS = -5.0e5
 
 
-class ModelFileError(ValueError):
+class ModelFileError(BearingTwinError, ValueError):
     """A model file that cannot be used; its text is one line for the user."""
 
 
@@ -39,16 +40,11 @@ class ModelFileError(ValueError):
 class RunIn:
     """Revolutions of the shaft over the identification data, counted from their first row.
 
-    Attributes
-    ----------
-    start_us
-        UTC microseconds that ``time_s`` counts from; None if the data had no dates.
-    at_rest
-        Whether the machine stood at ambient at the first row.
-    time_s, revolutions
-        (k,) some rows of the data, the first and the last among them.
-    temperatures_c
-        (k,) per sensor there; without dates they tell whether a history is of the same run.
+    - ``start_us``: UTC microseconds that ``time_s`` counts from; None if the data had no dates.
+    - ``at_rest``: whether the machine stood at ambient at the first row.
+    - ``time_s``, ``revolutions``: (k,) some rows of the data, the first and the last among them.
+    - ``temperatures_c``: (k,) per sensor there; without dates they show whether a history is of the
+      same run.
     """
 
     start_us: int | None
@@ -77,7 +73,7 @@ class RunIn:
         return float(self.revolutions[-1])
 
     def covers(self, recording: Recording, minutes: MinuteData) -> bool:
-        """Tell whether a recording is of the same run as the data, at least in part.
+        """Whether a recording is of the same run as the data, at least in part.
 
         By the dates if both have some; otherwise both must show the same temperatures at the same
         ``time_s``.
@@ -117,7 +113,7 @@ class RunIn:
         return max(-float(turned), _FRESHEST_REVOLUTIONS)
 
     def begins_with(self, recording: Recording, minutes: MinuteData) -> bool:
-        """Tell whether a history begins with the first row of the data."""
+        """Whether a history begins with the first row of the data."""
         good = minutes.take(minutes.good)
         offset_s = abs(float(self._on_axis_of(recording)[0] - good.time_s[0]))
         return offset_s < 1.0 and self.covers(recording, minutes)
@@ -162,21 +158,11 @@ class RunIn:
 class IdentifiedModel:
     """A model with everything that a forecast and its sisters need.
 
-    Attributes
-    ----------
-    machine, model
-        What it is built of, and the model.
-    posterior
-        What is known of its parameters.
-    run_in
-        Run-in of the grease over the data.
-    family
-        Of machines of one type, grease and arrangement; empty where it is not known.
-    data
-        The minute rows that it was identified from; None where the file does not have them.
-    own
-        The posterior that its own data give with the literature's prior, without samples; None
-        where that is `posterior`.
+    - ``run_in``: run-in of the grease over the data.
+    - ``family``: of machines of one type, grease and arrangement; empty where it is not known.
+    - ``data``: the minute rows that it was identified from; None where the file does not have them.
+    - ``own``: the posterior that its own data give with the literature's prior, without samples;
+      None where that is `posterior`.
     """
 
     machine: Machine
@@ -195,10 +181,7 @@ class IdentifiedModel:
     def save(self, path: Path, *, with_data: bool = True) -> None:
         """Write MODEL.json; without its minute rows no sister can be calibrated by it.
 
-        Raises
-        ------
-        FileError
-            If the file cannot be written.
+        Raises `FileError` if the file cannot be written.
         """
         document = {
             "format": FORMAT,
@@ -220,13 +203,7 @@ class IdentifiedModel:
 
     @classmethod
     def load(cls, path: Path) -> Self:
-        """Read MODEL.json.
-
-        Raises
-        ------
-        ModelFileError
-            If it cannot be read or is not such a file.
-        """
+        """Read MODEL.json. Raises `ModelFileError` if it cannot be read or is not such a file."""
         what = "a model file; expected what 'bearing-twin identify' wrote"
         document = read_json_file(path, FORMAT, FORMAT_VERSION, ModelFileError, what)
         try:

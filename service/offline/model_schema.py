@@ -60,6 +60,18 @@ class CalibrationRun(_Part):
     )
 
 
+class LawPart(_Part):
+    """Where one law comes from, and what speaks for it."""
+
+    source: Literal["own", "family", "literature"] = Field(description="What decides it.")
+    weight_family: float = Field(description="Probability of the family's law, 0 to 1.")
+    log_bayes_factor: float | None = Field(
+        description="Natural logarithm, of the family's law against the literature's."
+    )
+    tested: bool = Field(description="Whether the machine's own data say anything about it.")
+    settled_by: str | None = Field(description="What would test it; null where it is tested.")
+
+
 class Sisters(_Part):
     """Which sisters the prior was made of."""
 
@@ -67,9 +79,12 @@ class Sisters(_Part):
     loads_n: list[float] = Field(description="Heaviest load in N that each has seen.")
     speeds_rpm: list[float] = Field(description="Highest speed in rpm that each has seen.")
     calibration: list[CalibrationRun] = Field(description="Empty where their rows are not known.")
+    laws: dict[str, LawPart] = Field(
+        default_factory=dict, description="By load, speed, start and housing; none in older files."
+    )
 
 
-class Window(_Part):
+class WindowPart(_Part):
     """Minute rows of one window, packed."""
 
     at_rest: bool = Field(description="Whether the machine stood at ambient at the first row.")
@@ -81,7 +96,7 @@ class Window(_Part):
     )
 
 
-class Posterior(_Part):
+class PosteriorPart(_Part):
     """What is known of the parameters, in standard coordinates z.
 
     A parameter is centre * exp(spread * z) with transform "log", else centre + spread * z, within
@@ -104,7 +119,7 @@ class Posterior(_Part):
     sisters: Sisters | None = Field(None, description="Missing without sisters.")
 
 
-class RunIn(_Part):
+class RunInPart(_Part):
     """Revolutions of the shaft over the data: the run-in state of the grease."""
 
     start_us: int | None = Field(
@@ -120,7 +135,7 @@ class RunIn(_Part):
     )
 
 
-class Machine(_Part):
+class MachinePart(_Part):
     """What the model is built of: a bearing, or a network of the user's own."""
 
     model: str = Field(description="Which of the models of a bearing.")
@@ -140,14 +155,14 @@ class ModelFile(BaseModel):
     format_version: Literal[1]
     model: str = Field(description="Name of the model.")
     bearing: str = Field(description="Designation of the bearing, or name of the network.")
-    machine: Machine
-    posterior: Posterior
-    run_in: RunIn
+    machine: MachinePart
+    posterior: PosteriorPart
+    run_in: RunInPart
     family: str = Field("", description="Of machines of one type, grease and arrangement.")
-    own: Posterior | None = Field(
+    own: PosteriorPart | None = Field(
         None, description="What its own data say without sisters; missing where that is the same."
     )
-    rows: list[Window] | None = Field(
+    rows: list[WindowPart] | None = Field(
         None, description="The minute rows of the data; missing with --without-data."
     )
 

@@ -46,12 +46,7 @@ def rows_of_recording(recording: Recording, step_s: float = MINUTE_S) -> MinuteD
 
     The last row is always that of the recording's last time.
 
-    Parameters
-    ----------
-    recording
-        Measured rows.
-    step_s
-        What faster rows are averaged to; see `step_of`.
+    - ``step_s``: what faster rows are averaged to; see `step_of`.
     """
     time_s = recording.time_s
     fast = time_s.size > 2 and float(np.median(np.diff(time_s))) < _FAST * step_s
@@ -100,19 +95,11 @@ def mean_from(
 ) -> FloatArray:
     """Mean of a held quantity from each mark to the next; at the last mark its value there.
 
-    Parameters
-    ----------
-    time_s, values
-        (n,) each value holds until the next time; NaN is unknown.
-    marks_s
-        (m,) ascending, the last of them the last time.
-    longest_s
-        How long a value holds at most; three minutes for what was measured.
+    Shape (m,); NaN where less than half of the time is known.
 
-    Returns
-    -------
-    ndarray
-        (m,) NaN where less than half of the time is known.
+    - ``time_s``, ``values``: (n,) each value holds until the next time; NaN is unknown.
+    - ``marks_s``: (m,) ascending, the last of them the last time.
+    - ``longest_s``: how long a value holds at most; three minutes for what was measured.
     """
     held_s = np.append(np.minimum(np.diff(time_s), longest_s), 0.0)
     known = np.isfinite(values)
@@ -140,22 +127,13 @@ def mean_around(
 ) -> FloatArray:
     """Mean of an instantaneous quantity over half a step before and after each mark.
 
-    The mean is that of straight lines between the readings. Near the ends of the readings the
-    span shrinks on both sides, so that a steady rise moves no mean.
+    The mean is that of straight lines between the readings. Near the ends of the readings the span
+    shrinks on both sides, so that a steady rise moves no mean. Shape (m,); NaN outside the
+    readings, and between two that are more than three minutes apart.
 
-    Parameters
-    ----------
-    time_s, values
-        (n,) readings; NaN is none.
-    marks_s
-        (m,) ascending.
-    half_window_s
-        Half a step.
-
-    Returns
-    -------
-    ndarray
-        (m,) NaN outside the readings, and between two that are more than three minutes apart.
+    - ``time_s``, ``values``: (n,) readings; NaN is none.
+    - ``marks_s``: (m,) ascending.
+    - ``half_window_s``: half a step.
     """
     known = np.isfinite(values)
     means = np.full(marks_s.size, np.nan)
@@ -185,7 +163,7 @@ def mean_around(
 
 
 def _bridged(time_s: FloatArray, ambient_c: FloatArray) -> FloatArray:
-    """Ambient with gaps of up to an hour filled: air in a hall does not jump."""
+    """Ambient with gaps of up to an hour filled: air indoors does not jump."""
     known = np.flatnonzero(np.isfinite(ambient_c))
     if known.size in (0, ambient_c.size):
         return ambient_c

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from service.domain.errors import BearingTwinError
 from service.offline.model_file import IdentifiedModel
 from service.offline.tables import FloatArray, PlannedRows
 from twin_core.simulation import OperatingProfile, SimulationError, simulate
@@ -18,7 +19,7 @@ _MOST_DOUBLINGS = 10
 _TOLERANCE_K = 1e-8
 
 
-class RunAwayError(Exception):
+class RunAwayError(BearingTwinError):
     """The model runs away over the profile; one line for the user."""
 
 
@@ -26,16 +27,10 @@ class RunAwayError(Exception):
 class SimulatedRows:
     """True temperatures at the rows of a profile.
 
-    Attributes
-    ----------
-    time_s
-        (n,) as in the profile.
-    names
-        Every sensor, then the nodes that no sensor has the name of.
-    sensors
-        The first of the names.
-    temperatures_c
-        (n, names).
+    - ``time_s``: (n,) as in the profile.
+    - ``names``: every sensor, then the nodes that no sensor has the name of.
+    - ``sensors``: the first of the names.
+    - ``temperatures_c``: (n, names).
     """
 
     time_s: FloatArray
@@ -59,25 +54,10 @@ def simulate_profile(
 ) -> SimulatedRows:
     """Simulate a profile from one temperature everywhere at its first row.
 
-    Parameters
-    ----------
-    identified
-        The model; its most probable parameters are used, and the run-in state that the grease had
-        at the start of the identification data.
-    rows
-        The profile; each row holds until the next one.
-    initial_temperature_c
-        In degC.
-
-    Returns
-    -------
-    SimulatedRows
-        Without any sensor model: neither noise, nor offset, nor lag.
-
-    Raises
-    ------
-    RunAwayError
-        If the temperatures do not stay below 2000 degC.
+    Its most probable parameters are used, and the run-in state that the grease had at the start of
+    the identification data; each row holds until the next one. There is no sensor model: neither
+    noise, nor offset, nor lag. Raises `RunAwayError` if the temperatures do not stay below 2000
+    degC.
     """
     model = identified.model
     start_c = np.full(len(model.node_names), initial_temperature_c)

@@ -15,8 +15,10 @@ from typing import TextIO
 import numpy as np
 from numpy.typing import NDArray
 
+from adapters.configuration import first_repeated
 from service.clock import from_rfc3339
 from service.domain.channels import NODES, OPERATING_CHANNELS, RING_SENSORS
+from service.domain.errors import BearingTwinError
 from service.files import replacing
 from service.site.machines.networks import NetworkSection
 from service.spreadsheets import text_cell
@@ -31,7 +33,7 @@ _RANGES = {"speed_rpm": (-1e5, 1e5), "load_n": (-1e3, 1e6)}
 _ANY_RANGE = (-1e9, 1e9)
 
 
-class TableError(ValueError):
+class TableError(BearingTwinError, ValueError):
     """A CSV file that cannot be used; its text is one line for the user."""
 
 
@@ -39,22 +41,14 @@ class TableError(ValueError):
 class Recording:
     """Measured rows of a file.
 
-    Attributes
-    ----------
-    name
-        The file, for messages.
-    start_us
-        UTC microseconds that ``time_s`` counts from; None where the file has only ``time_s``.
-    time_s
-        (n,) ascending.
-    speed_rpm, load_n, ambient_c
-        (n,) the operating point from each row's time on; NaN where the cell is empty.
-    temperatures_c
-        (n,) at each row's time, per sensor; NaN where the cell is empty.
-    inputs
-        (n,) per input of a network of one's own, in its order; as the operating point.
-    mean_square
-        Inputs whose square is heat: currents.
+    - ``start_us``: UTC microseconds that ``time_s`` counts from; None where the file has only
+      ``time_s``.
+    - ``time_s``: (n,) ascending.
+    - ``speed_rpm``, ``load_n``, ``ambient_c``: (n,) the operating point from each row's time on;
+      NaN where the cell is empty.
+    - ``temperatures_c``: (n,) at each row's time, per sensor; NaN where the cell is empty.
+    - ``inputs``: (n,) per input of a network of one's own, in its order; as the operating point.
+    - ``mean_square``: inputs whose square is heat: currents.
     """
 
     name: str
@@ -85,19 +79,11 @@ class PlannedRows:
 def read_recording(path: Path, network: NetworkSection | None = None) -> Recording:
     """Read recorded data: ``time`` (RFC 3339) or ``time_s``, operating point, temperatures.
 
-    Parameters
-    ----------
-    path
-        The file.
-    network
-        A network of the user's own: its inputs, which there must be, and its temperatures, at least
-        one of them. By default both rings, which there must be, and the nodes of the 14-node
-        network.
+    Raises `TableError` if the file cannot be read or used.
 
-    Raises
-    ------
-    TableError
-        If the file cannot be read or used.
+    - ``network``: a network of the user's own: its inputs, which there must be, and its
+      temperatures, at least one of them. By default both rings, which there must be, and the nodes
+      of the 14-node network.
     """
     temperatures = None if network is None else network.temperature_names
     needed = _operating_columns(network)
@@ -161,17 +147,8 @@ def _is_known(name: str, temperatures: Sequence[str] | None) -> bool:
 def read_profile(path: Path, network: NetworkSection | None = None) -> PlannedRows:
     """Read a profile: ``time_s,speed_rpm,load_n,ambient_c``, no cell empty.
 
-    Parameters
-    ----------
-    path
-        The file.
-    network
-        A network of the user's own, whose inputs there must be as well.
-
-    Raises
-    ------
-    TableError
-        If the file cannot be read or used.
+    ``network``: one of the user's own, whose inputs there must be as well. Raises `TableError` if
+    the file cannot be read or used.
     """
     expected = ("time_s", *_operating_columns(network))
     with _opened(path) as file:
@@ -203,19 +180,9 @@ def write_forecast(
 ) -> None:
     """Write a forecast, one row per time.
 
-    Parameters
-    ----------
-    path
-        The file.
-    time_s, names, quantiles
-        (n,) times, and the quantiles (5, n, names).
-    whole_run_c
-        By sensor, the edges (2, n) of the band of the whole run.
-
-    Raises
-    ------
-    FileError
-        If the file cannot be written.
+    ``time_s``, ``names``, ``quantiles``: (n,) times, and the quantiles (5, n, names);
+    ``whole_run_c``: by sensor, the edges (2, n) of the band of the whole run. Raises `FileError` if
+    the file cannot be written.
     """
     levels = ("q025", "q25", "q50", "q75", "q975")
     header = ["time_s", *(f"{name}_{level}" for name in names for level in levels)]
@@ -239,10 +206,7 @@ def write_simulation(
 ) -> None:
     """Write simulated temperatures (n, names), one row per time.
 
-    Raises
-    ------
-    FileError
-        If the file cannot be written.
+    Raises `FileError` if the file cannot be written.
     """
     with replacing(path) as file:
         writer = csv.writer(file, lineterminator="\n")
@@ -254,10 +218,7 @@ def write_simulation(
 def check_writable(path: Path) -> None:
     """Complain before a long computation, not after it, about a place that takes no file.
 
-    Raises
-    ------
-    TableError
-        If no file can be written there.
+    Raises `TableError` if no file can be written there.
     """
     folder = path.parent
     if path.is_dir() or not folder.is_dir():
@@ -291,9 +252,9 @@ class _Table:
         if header is None:
             raise self.error(1, "empty file; expected a header line with the names of the columns")
         self.names = [cell.strip() for cell in header]
-        for name_ in self.names:
-            if self.names.count(name_) > 1:
-                raise self.error(1, f"column {name_!r} occurs twice; expected once")
+        twice = first_repeated(self.names)
+        if twice is not None:
+            raise self.error(1, f"column {twice!r} occurs twice; expected once")
 
     def error(self, line: int, text: str) -> TableError:
         return TableError(f"{self.name}: line {line}: {text}")

@@ -11,12 +11,8 @@ from service.site.configuration import SettingsError
 def check_endpoint(endpoint: Endpoint) -> None:
     """Make sure that an endpoint can be listened on.
 
-    Raises
-    ------
-    TemporaryError
-        If the port is taken, or the machine does not have the address yet; names it.
-    SettingsError
-        If it cannot be used at all; names it.
+    Raises `TemporaryError` if the port is taken, or the machine does not have the address yet;
+    names it. Raises `SettingsError` if it cannot be used at all; names it.
     """
     family = socket.AF_INET6 if ":" in endpoint.host else socket.AF_INET
     with socket.socket(family) as probe:

@@ -5,10 +5,11 @@ It gets values and gives none back: it holds no twin, and of the store only what
 so that nothing that a stranger sends to it can change anything.
 """
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, Protocol, TypedDict
+from typing import TYPE_CHECKING, NamedTuple, Protocol, TypedDict, runtime_checkable
 
 from service.clock import wall_us
 from service.site.settings import Settings
@@ -30,25 +31,20 @@ class TagValue(TypedDict):
     time: str
 
 
+async def _not_known() -> None:
+    """No one to ask for the open alarms."""
+
+
 @dataclass(frozen=True)
 class Host:
     """What a publisher may use of the service.
 
-    Attributes
-    ----------
-    authenticator, trail
-        Check the keys of callers, and keep a line of wrong ones.
-    data_dir : pathlib.Path
-        A publisher keeps files in the folder of its own name below it.
-    tags_of : callable
-        The tags of an asset at this moment, as its snapshot: what is old is not called good, and
-        no verdict of it is safe. None without such an asset, or before its first snapshot.
-    channels_of : callable
-        Names of the tags of an asset that are kept in the store.
-    history : ChannelHistory, optional
-        What was stored of them.
-    now_us : callable
-        Process time, microseconds since 1970 UTC.
+    - ``authenticator``, ``trail``: check the keys of callers, and keep a line of wrong ones.
+    - ``data_dir``: a publisher keeps files in the folder of its own name below it.
+    - ``tags_of``: the tags of an asset at this moment, as its snapshot: what is old is not called
+      good, and no verdict of it is safe. None without such an asset, or before its first snapshot.
+    - ``open_alarms``: the alarms that are not over, as `GET /alarms` shows them; None while the
+      cell does not answer.
     """
 
     authenticator: "Authenticator"
@@ -58,6 +54,7 @@ class Host:
     channels_of: Callable[[str], Collection[str]] = lambda asset: ()
     history: "ChannelHistory | None" = None
     now_us: Callable[[], int] = wall_us
+    open_alarms: Callable[[], Awaitable[Sequence[Mapping[str, object]] | None]] = _not_known
 
 
 class Publisher(Protocol):
@@ -101,10 +98,7 @@ class Publisher(Protocol):
     async def publish_tags(self, asset: str, tags: Mapping[str, TagValue]) -> Collection[str]:
         """Hand on tags that have changed.
 
-        Returns
-        -------
-        collection of str
-            The tags that could not be handed on; they are offered again, the others are not.
+        Returns the tags that could not be handed on; they are offered again, the others are not.
         """
 
     async def withdraw_tags(self, asset: str, tags: Collection[str]) -> None:
@@ -120,6 +114,14 @@ class Publisher(Protocol):
         """Take leave, where there is someone to take leave of, and release everything."""
 
 
+@runtime_checkable
+class Certified(Protocol):
+    """A publisher that shows its clients a certificate."""
+
+    def certificate_ends_at(self) -> datetime | None:
+        """When it ends; None while there is none."""
+
+
 class Endpoint(NamedTuple):
     """Where a publisher listens."""
 
@@ -133,24 +135,15 @@ class Endpoint(NamedTuple):
 class PublisherEntry:
     """What the registry knows of a publisher; nothing of it but `make` imports its libraries.
 
-    Attributes
-    ----------
-    name : str
-        Its name in the configuration, in logs and metrics, and of its extra.
-    package : str or None
-        Import name of the library that the extra brings; None for one that needs no extra.
-    period_s : float
-        Wall seconds between two looks for changed tags.
-    is_enabled : callable
-        Whether a configuration asks for it.
-    make : callable
-        Makes it from a configuration that asks for it.
-    check : callable, optional
-        Checks the files and values of its section; raises `SettingsError` with one line.
-    listens : callable, optional
-        Where it listens, for a publisher that is a server.
-    warn : callable, optional
-        One line for each thing in its section that its user should know, and that is no error.
+    - ``name``: its name in the configuration, in logs and metrics, and of its extra.
+    - ``package``: import name of the library that the extra brings; None for one that needs no
+      extra.
+    - ``period_s``: wall seconds between two looks for changed tags.
+    - ``make``: makes it from a configuration that asks for it.
+    - ``check``: checks the files and values of its section; raises `SettingsError` with one line.
+    - ``listens``: where it listens, for a publisher that is a server.
+    - ``warn``: one line for each thing in its section that its user should know, and that is no
+      error.
     """
 
     name: str

@@ -18,17 +18,14 @@ PUBLISHERS: Sequence[PublisherEntry] = (
 
 
 def any_enabled(settings: Settings) -> bool:
-    """Tell whether there is anything to do for the plant side."""
+    """Whether there is anything to do for the plant side."""
     return bool(enabled(settings))
 
 
 def check_extras(settings: Settings) -> None:
     """Make sure that what is enabled is installed, and that its files can be used.
 
-    Raises
-    ------
-    SettingsError
-        One line that names the key and what to do.
+    Raises `SettingsError`: one line that names the key and what to do.
     """
     unknown = sorted(settings.publishers.keys() - {entry.name for entry in PUBLISHERS})
     if unknown:
@@ -49,12 +46,8 @@ def check_extras(settings: Settings) -> None:
 def check_ports(settings: Settings) -> None:
     """Make sure that what is enabled can be had here, before anything else starts.
 
-    Raises
-    ------
-    TemporaryError
-        If a port is taken, or the machine does not have the address yet; names it.
-    SettingsError
-        If it cannot be used at all; names it.
+    Raises `TemporaryError` if a port is taken, or the machine does not have the address yet; names
+    it. Raises `SettingsError` if it cannot be used at all; names it.
     """
     check_extras(settings)
     for endpoint in endpoints(settings):

@@ -3,8 +3,12 @@
 import asyncio
 import contextlib
 import json
+import math
+import time
 from collections.abc import Collection, Mapping
+from datetime import UTC, datetime
 from functools import partial
+from typing import Final
 
 import structlog
 from prometheus_client import CollectorRegistry, Gauge
@@ -12,16 +16,20 @@ from prometheus_client import CollectorRegistry, Gauge
 from adapters.backoff import Backoff
 from adapters.samples import Quality
 from service.bus.replica import AssetReplica
-from service.bus.stream import Bus, Message, Subscription, SubscriptionClosedError
+from service.bus.stream import LiveMessages
+from service.bus.subscription import Message, Subscription, SubscriptionClosedError
 from service.domain.errors import CellUnavailableError
 from service.live.guard import Guard
-from service.plant.protocol import Host, Publisher, TagValue
+from service.plant.protocol import Certified, Host, Publisher, TagValue
 from service.plant.publishers import enabled
 from service.site.settings import Settings
 
 #: Wall seconds between two rounds.
 REOPEN_FIRST_S = 1.0
 REOPEN_LAST_S = 30.0
+#: Days before the end of a certificate from which on it is announced.
+CERTIFICATE_NOTICE_DAYS: Final = 60.0
+DAY_S: Final = 86_400.0
 #: Alarms that wait for a publisher that is away.
 _ALARMS_KEPT = 4096
 
@@ -31,29 +39,9 @@ _log = structlog.get_logger(__name__)
 class PublisherRounds:
     """One publisher and its rounds; see `Publisher` for what is promised to it.
 
-    Parameters
-    ----------
-    name
-        The publisher's name.
-    publisher
-        Opened and closed here, and by no one else.
-    period_s
-        Wall seconds between two looks for changed tags.
-    assets
-        Whose tags it gets; they may come and go.
-    bus
-        Where alarms come from.
-    host
-        What it may use.
-
-    Attributes
-    ----------
-    name : str
-        The publisher's name.
-    problem : str or None
-        Why it hands nothing on, or not everything; None while all is well.
-    begun : asyncio.Event
-        Set once all tags have been handed on for the first time.
+    - ``period_s``: wall seconds between two looks for changed tags.
+    - ``failure``: why it hands nothing on, or not everything; None while it does.
+    - ``begun``: set once all tags have been handed on for the first time.
     """
 
     def __init__(
@@ -62,13 +50,13 @@ class PublisherRounds:
         publisher: Publisher,
         period_s: float,
         assets: Mapping[str, AssetReplica],
-        bus: Bus,
+        bus: LiveMessages,
         host: Host,
     ) -> None:
         self.name = name
-        self.problem: str | None = "not opened yet"
+        self.failure: str | None = "not opened yet"
         self.begun = asyncio.Event()
-        self._publisher = publisher
+        self.publisher = publisher
         self._period_s = period_s
         self._assets = assets
         self._bus = bus
@@ -80,6 +68,25 @@ class PublisherRounds:
         self._alarms: Subscription | None = None
         self._unsent: Message | None = None
         self._publishing = asyncio.Lock()
+        self._announce_s = time.monotonic()
+
+    def certificate_days(self) -> float | None:
+        """Days until the publisher's certificate ends; None where it has none."""
+        publisher = self.publisher
+        ends_at = publisher.certificate_ends_at() if isinstance(publisher, Certified) else None
+        return None if ends_at is None else (ends_at - datetime.now(UTC)).total_seconds() / DAY_S
+
+    @property
+    def problem(self) -> str | None:
+        """Its failure, or what should be done before there is one; None while all is well."""
+        return self.failure or self._notice()
+
+    def _notice(self) -> str | None:
+        days = self.certificate_days()
+        if days is None or days > CERTIFICATE_NOTICE_DAYS:
+            return None
+        when = f"ends in {math.ceil(days)} days" if days > 0 else "has ended"
+        return f"its certificate {when}: clients that check it end their connection then"
 
     async def run(self) -> None:
         """Publish until cancelled; open again, ever more slowly, whenever that fails."""
@@ -88,7 +95,7 @@ class PublisherRounds:
         away = False
         while True:
             try:
-                await self._publisher.open(self._host)
+                await self.publisher.open(self._host)
                 self._known = {asset: dict.fromkeys(tags) for asset, tags in self._known.items()}
                 await self.publish_tags()
                 self.begun.set()
@@ -100,13 +107,13 @@ class PublisherRounds:
                     tasks.create_task(self._publish_alarms())
             except* Exception as group:
                 # Whatever it was that the round ended with: the service goes on.
-                self.problem = _reason(group)
+                self.failure = _reason(group)
                 if not away:
-                    _log.warning(f"{self.name}_away", reason=self.problem)
+                    _log.warning(f"{self.name}_away", reason=self.failure)
                 away = True
             finally:
                 with self._closing():
-                    await self._publisher.close()
+                    await self.publisher.close()
             await asyncio.sleep(backoff.next())
 
     async def publish_tags(self) -> None:
@@ -129,7 +136,7 @@ class PublisherRounds:
             await self._withdraw(asset, list(self._known[asset]))
             del self._known[asset]
             self._guards.pop(asset, None)
-        self.problem = f"{refused} tags refused" if refused else None
+        self.failure = f"{refused} tags refused" if refused else None
 
     def _tags(self, asset: str, twin: AssetReplica) -> Mapping[str, TagValue] | None:
         guard = self._guards.setdefault(asset, Guard(f"{self.name}_tags", asset))
@@ -140,44 +147,55 @@ class PublisherRounds:
         return tags
 
     async def _publish(self, asset: str, tags: Mapping[str, TagValue]) -> int:
-        """Hand on what has changed; tells how many tags were refused."""
+        """Hand on what has changed; returns how many tags were refused."""
         known = self._known.setdefault(asset, {})
         changed = {tag: shown for tag, shown in tags.items() if known.get(tag) != shown}
         if not changed:
             return 0
         # Should the round end now, some may have been taken.
         known |= dict.fromkeys(changed)
-        left = await self._publisher.publish_tags(asset, changed)
+        left = await self.publisher.publish_tags(asset, changed)
         known |= {tag: shown for tag, shown in changed.items() if tag not in left}
         return len(left)
 
     async def _withdraw(self, asset: str, gone: Collection[str]) -> None:
-        """Take tags back: whoever follows one sees first that it has no value any more."""
+        """Take tags back: a client that follows one sees first that it has no value any more."""
         if not gone:
             return
         known = self._known[asset]
         last = {tag: _out_of_service(shown) for tag in gone if (shown := known[tag]) is not None}
         if last:
-            await self._publisher.publish_tags(asset, last)
-        await self._publisher.withdraw_tags(asset, gone)
+            await self.publisher.publish_tags(asset, last)
+        await self.publisher.withdraw_tags(asset, gone)
         for tag in gone:
             del known[tag]
 
     async def _run_publisher(self) -> None:
-        await self._publisher.run()
+        await self.publisher.run()
         raise ConnectionError("it has ended")
 
     async def _repeat_tags(self) -> None:
         while True:
+            self._announce_certificate()
             await asyncio.sleep(self._period_s)
             await self.publish_tags()
+
+    def _announce_certificate(self) -> None:
+        """Write a line a day while the end of the certificate is near."""
+        now_s = time.monotonic()
+        if now_s < self._announce_s:
+            return
+        self._announce_s = now_s + DAY_S
+        notice = self._notice()
+        if notice is not None:
+            _log.warning(f"{self.name}_certificate_ends", reason=notice)
 
     async def _publish_alarms(self) -> None:
         while True:
             if self._unsent is None:
                 self._unsent = await self._next_alarm()
             alarm = json.loads(self._unsent.text)["data"]
-            await self._publisher.publish_alarm(self._unsent.asset, alarm)
+            await self.publisher.publish_alarm(self._unsent.asset, alarm)
             self._unsent = None
 
     async def _next_alarm(self) -> Message:
@@ -209,29 +227,24 @@ def _reason(error: BaseException) -> str:
 def make_publishers(
     settings: Settings,
     assets: Mapping[str, AssetReplica],
-    bus: Bus,
+    bus: LiveMessages,
     host: Host,
     registry: CollectorRegistry,
 ) -> list[PublisherRounds]:
-    """Make what is enabled, each to be run next to the service.
-
-    Parameters
-    ----------
-    settings
-        The checked configuration.
-    assets
-        Whose tags are published; they may come and go.
-    bus
-        Where alarms come from.
-    host
-        What a publisher may use.
-    registry
-        Where each publisher's state is measured.
-    """
+    """Make what is enabled, each to be run next to the service."""
     publishers = [
         PublisherRounds(entry.name, entry.make(settings), entry.period_s, assets, bus, host)
         for entry in enabled(settings)
     ]
+    days = Gauge(
+        "bearing_twin_publisher_certificate_days",
+        "Days until the certificate that a publisher shows its clients ends.",
+        ["publisher"],
+        registry=registry,
+    )
+    for one in publishers:
+        if isinstance(one.publisher, Certified):
+            days.labels(one.name).set_function(partial(_certificate_days, one))
     up = Gauge(
         "bearing_twin_publisher_up",
         "Whether a publisher has its connection, or listens, and hands everything on.",
@@ -243,5 +256,10 @@ def make_publishers(
     return publishers
 
 
+def _certificate_days(publisher: PublisherRounds) -> float:
+    days = publisher.certificate_days()
+    return math.nan if days is None else days
+
+
 def _is_up(publisher: PublisherRounds) -> float:
-    return float(publisher.problem is None)
+    return float(publisher.failure is None)

@@ -9,17 +9,21 @@ from typing import Final
 
 from prometheus_client import CollectorRegistry
 
+from service.bus.alarm_lists import alarms_of
+from service.bus.calls import call
+from service.bus.commands import Alarms
 from service.bus.directory import Directory
-from service.bus.fleet import Fleet
+from service.bus.fleet_cells import Fleet
 from service.bus.fleet_connection import fleet_of
 from service.bus.fleet_following import FleetFollowing
 from service.bus.following import Following
 from service.bus.interface import AWAY_AFTER_S, ReaderBus
 from service.bus.local import LocalReaderBus
-from service.bus.presence import tell_presence
+from service.bus.presence import report_presence
 from service.bus.replicas import Replicas
-from service.bus.stream import Bus
+from service.bus.stream import LiveMessages
 from service.clock import ProcessClock
+from service.documents.alarms import alarm_document
 from service.domain.errors import CellUnavailableError
 from service.plant.protocol import Host, TagValue
 from service.plant.publishers import check_extras, check_ports
@@ -34,6 +38,8 @@ from service.waiting import LEAVE_S, StoppedError, Waiting
 OUTBOX_FILE: Final = "outbox-plant.db"
 #: Copies of the tags are at most so old: below the shortest period of a publisher.
 REFRESH_S: Final = 0.25
+#: Wall seconds for the list of the open alarms.
+ALARMS_S: Final = 5.0
 _LOOK_EVERY_S: Final = 0.1
 _CLOSE_S: Final = 1.0
 
@@ -41,24 +47,9 @@ _CLOSE_S: Final = 1.0
 async def run_plant(settings: Settings, *, stop: asyncio.Event, ready: Callable[[], None]) -> None:
     """Run the plant side of a configuration until ``stop`` is set.
 
-    It waits for the cell, and goes on when the cell ends and comes back: the tags then say by
-    their quality that they are old.
-
-    Parameters
-    ----------
-    settings : Settings
-        The configuration.
-    stop : asyncio.Event
-        Set it to end the plant side cleanly.
-    ready : callable
-        Called when everything that is enabled runs.
-
-    Raises
-    ------
-    SettingsError
-        If what is enabled cannot be used; names the key.
-    TemporaryError
-        If a port did not become free in time.
+    It waits for the cell, and goes on when the cell ends and comes back: the tags then say by their
+    quality that they are old. Raises `SettingsError` if what is enabled cannot be used; names the
+    key. Raises `TemporaryError` if a port did not become free in time.
     """
     check_extras(settings)
     with contextlib.suppress(StoppedError):
@@ -94,7 +85,7 @@ async def _run(settings: Settings, stop: asyncio.Event, ready: Callable[[], None
         )
         stack.callback(outbox.close, _CLOSE_S)
         clock = ProcessClock.resume(settings.clock.rate, data_dir)
-        bus = Bus(clock)
+        bus = LiveMessages(clock)
         security = settings.security
         authenticator = Authenticator(
             store, security.failed_logins_per_minute, security.requests_per_minute
@@ -107,11 +98,16 @@ async def _run(settings: Settings, stop: asyncio.Event, ready: Callable[[], None
             if isinstance(reader, Fleet)
             else Following(reader, bus)
         )
+        publishers: list[PublisherRounds] = []
+
+        def state_of_publishers() -> dict[str, str]:
+            return {one.name: one.problem or "" for one in publishers}
+
         for name, work in (
             ("live messages", following.run()),
             ("tags", _refresh(replicas)),
             ("assets", replicas.follow()),
-            ("presence", tell_presence(reader, "plant", registry)),
+            ("presence", report_presence(reader, "plant", registry, state_of_publishers)),
         ):
             await stack.enter_async_context(background(work, name, stop))
         while not following.caught_up.is_set():
@@ -124,14 +120,23 @@ async def _run(settings: Settings, stop: asyncio.Event, ready: Callable[[], None
             channels_of=partial(_channels_of, replicas),
             history=store.channel_history,
             now_us=clock.now_us,
+            open_alarms=partial(_open_alarms, reader),
         )
-        publishers = make_publishers(settings, replicas.assets, bus, host, registry)
+        publishers += make_publishers(settings, replicas.assets, bus, host, registry)
         for one in publishers:
             await stack.enter_async_context(background(one.run(), one.name, stop))
         await stack.enter_async_context(background(_be_prompt(publishers), "prompt", stop))
         ready()
         await stop.wait()
         bus.close("the service stops")
+
+
+async def _open_alarms(reader: ReaderBus) -> Sequence[Mapping[str, object]] | None:
+    try:
+        alarms = await alarms_of(lambda part: reader.ask(part, ALARMS_S), call(Alarms.listed))
+    except CellUnavailableError:
+        return None
+    return [alarm_document(alarm).model_dump(mode="json") for alarm in alarms]
 
 
 async def _is_known(reader: ReaderBus, replicas: Replicas) -> bool:

@@ -29,15 +29,7 @@ class _Fold:
 
 
 class AuditTrail:
-    """Notes what callers did.
-
-    Parameters
-    ----------
-    outbox : Outbox
-        Takes the lines.
-    fold_s : float
-        Seconds for which `note_repeated` writes one line.
-    """
+    """Notes what callers did. ``fold_s``: seconds for which `note_repeated` writes one line."""
 
     def __init__(self, outbox: Outbox, fold_s: float = FOLD_S) -> None:
         self._outbox = outbox

@@ -50,18 +50,10 @@ _log = structlog.get_logger(__name__)
 class Principal:
     """Who is calling.
 
-    Attributes
-    ----------
-    role
-        What the key may do.
-    key_id, prefix
-        The key, as `keys list` shows it.
-    expires_us
-        Wall time at which the key or the session ends, UTC microseconds; None for never.
-    session
-        True when the key came by a browser session.
-    label
-        Label of the key.
+    - ``key_id``, ``prefix``: the key, as `keys list` shows it.
+    - ``expires_us``: wall time at which the key or the session ends, UTC microseconds; None for
+      never.
+    - ``session``: True when the key came by a browser session.
     """
 
     role: Role
@@ -92,20 +84,8 @@ class _Pending:
 class Authenticator:
     """Verifies keys and sessions; used in the event loop.
 
-    Parameters
-    ----------
-    store : Store
-        Where keys and sessions are kept.
-    failed_logins_per_minute
-        Wrong keys that an address may offer.
-    requests_per_minute
-        Requests that a key may make.
-
-    Attributes
-    ----------
-    failures, logins, strangers, requests : RateLimit
-        Wrong keys by address, log-ins by address and by key, unknown sessions by address,
-        requests by the key's id; whoever asks counts them.
+    Its callers count in the rate limits: wrong keys by address, log-ins by address and by key,
+    unknown sessions by address, requests by the key's id.
     """
 
     def __init__(
@@ -139,12 +119,12 @@ class Authenticator:
         return principal
 
     def knows(self, text: str) -> bool:
-        """Tell whether a key was looked up lately, with whatever result."""
+        """Whether a key was looked up lately, with whatever result."""
         sha256 = fingerprint(text)
         return sha256 in self._wrong or f"key {sha256}" in self._memory
 
     def knows_session(self, cookie: str) -> bool:
-        """Tell whether a session cookie was looked up lately, or cannot be one."""
+        """Whether a session cookie was looked up lately, or cannot be one."""
         if not _COOKIE.fullmatch(cookie):
             return True
         sha256 = fingerprint(cookie)
@@ -215,7 +195,7 @@ class Authenticator:
     ) -> Principal | None:
         """Without the store nothing can have been revoked through it either.
 
-        Whoever was known a moment ago keeps watching the machine.
+        A caller that was known a moment ago keeps watching the machine.
         """
         known = self._memory.get(name)
         if known is None or now_s - known.at_s > MEMORY_WITHOUT_STORE_S:
@@ -253,7 +233,7 @@ class Authenticator:
             def ended(done: "asyncio.Future[Principal | None]") -> None:
                 self._pending.pop(name, None)
                 self._unknown_waiting -= not known
-                # Also when whoever asked is gone by now.
+                # Also when the caller is gone by now.
                 if not done.cancelled() and done.exception() is None:
                     self._remember(name, done.result(), since_s)
 

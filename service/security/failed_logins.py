@@ -1,6 +1,6 @@
 """Wrong keys: an address has a limited number, and they leave lines in the audit trail.
 
-The same for every way by which a key may come; what a caller is told is the way's own.
+The same for every way by which a key may come; the answer to the caller is the way's own.
 """
 
 from service.security.audit_trail import AuditTrail

@@ -11,6 +11,7 @@ import secrets
 from dataclasses import dataclass
 
 from service.clock import DAY_US, wall_us
+from service.domain.errors import BearingTwinError
 from service.domain.roles import ROLES, Role
 from service.store import ApiKey, AuditEntry, Store
 
@@ -22,11 +23,11 @@ LABEL_LENGTH = 100
 LABEL_PATTERN = r"^[^\x00-\x1f\x7f-\x9f]*$"
 
 
-class UnknownRoleError(ValueError):
+class UnknownRoleError(BearingTwinError, ValueError):
     """There is no such role; the text names those there are."""
 
 
-class UnknownKeyError(ValueError):
+class UnknownKeyError(BearingTwinError, ValueError):
     """There is no key of this id or prefix, or more than one."""
 
 
@@ -56,7 +57,7 @@ def fingerprint(secret: str) -> str:
 
 
 def looks_like_key(text: str) -> bool:
-    """Tell whether a text has the form of a key, so that nothing else is ever looked up."""
+    """Whether a text has the form of a key, so that nothing else is ever looked up."""
     return _KEY.fullmatch(text) is not None
 
 
@@ -74,25 +75,9 @@ def create_key(
 ) -> NewKey:
     """Make a key, store its hash and write it into the audit trail.
 
-    Parameters
-    ----------
-    store : Store
-        Where keys are kept; a running service sees the new key at once.
-    role : str
-        viewer, operator, engineer, admin or gateway.
-    expires_in_days : float, optional
-        Days after which the key opens nothing; default never.
-    label : str
-        What people call it, at most 100 characters.
-    actor : Actor
-        Who makes it.
-
-    Raises
-    ------
-    UnknownRoleError
-        If there is no such role.
-    ValueError
-        If the days are not positive, or the label is too long.
+    A running service sees it at once. Without ``expires_in_days`` it never expires. Raises
+    `UnknownRoleError` if there is no such role; `ValueError` if the days are not positive, or the
+    label is too long.
     """
     known: Role | None = next((one for one in ROLES if one == role), None)
     if known is None:
@@ -124,12 +109,8 @@ def verify_key(store: Store, text: str) -> ApiKey | None:
     """Return the record of a key that is valid now; None for any other text.
 
     The look-up goes by the hash, which reveals nothing to an attacker's clock about any key; the
-    prefix is compared in constant time on top.
-
-    Raises
-    ------
-    StoreUnavailableError
-        If the store does not answer.
+    prefix is compared in constant time on top. Raises `StoreUnavailableError` if the store does not
+    answer.
     """
     if not looks_like_key(text):
         return None
@@ -147,12 +128,8 @@ def list_keys(store: Store) -> list[ApiKey]:
 def revoke_key(store: Store, id_or_prefix: str, actor: Actor = SERVICE) -> ApiKey:
     """Revoke a key by its id or its prefix; a running service refuses it within 2 s.
 
-    Its browser sessions and open streams end with it. Doing it again changes nothing.
-
-    Raises
-    ------
-    UnknownKeyError
-        If there is no such key, or several share the prefix.
+    Its browser sessions and open streams end with it. Doing it again changes nothing. Raises
+    `UnknownKeyError` if there is no such key, or several share the prefix.
     """
     found = [key for key in store.access.list_keys() if id_or_prefix in (key.id, key.prefix)]
     if len(found) != 1:

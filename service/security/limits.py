@@ -12,15 +12,7 @@ _MINUTE_S = 60.0
 
 
 class RateLimit:
-    """A number of calls a minute for each caller, a minute's worth of them at once.
-
-    Parameters
-    ----------
-    per_minute : float
-        Calls a minute.
-    clock : callable
-        Seconds that only go forward.
-    """
+    """A number of calls a minute for each caller, a minute's worth of them at once."""
 
     def __init__(self, per_minute: float, clock: Callable[[], float] = time.monotonic) -> None:
         self.per_minute = per_minute

@@ -14,16 +14,9 @@ _log = structlog.get_logger(__name__)
 def tls_context(certificate: Path, key: Path) -> ssl.SSLContext:
     """Load a certificate and its private key.
 
-    Parameters
-    ----------
-    certificate, key : pathlib.Path
-        PEM files; the certificate first, then any that lead to the authority. The key carries no
-        password: no one is there to type it.
-
-    Raises
-    ------
-    SettingsError
-        If a file cannot be used; names it.
+    ``certificate``, ``key``: PEM files; the certificate first, then any that lead to the authority.
+    The key carries no password: no one is there to type it. Raises `SettingsError` if a file cannot
+    be used; names it.
     """
     for name, path in (("certificate", certificate), ("key", key)):
         try:

@@ -14,12 +14,12 @@ from service.alarm_kinds import KINDS, forecast_limit, measured_limit
 from service.domain.alarm_guidance import (
     AlarmName,
     AlarmOverride,
-    AlarmPoint,
     AlarmSubject,
+    PossibleAlarm,
 )
 from service.domain.alarm_kind import AlarmKind, LevelRule, PlainRule
 from service.domain.channels import label
-from service.site.asset_section import AssetSection, Limits
+from service.site.asset_section import AssetSection, LimitsSection
 from service.site.wiring import ChannelFacts
 
 #: What the alarm book works with.
@@ -65,21 +65,13 @@ class AlarmedAsset:
 
 
 @dataclass(frozen=True, slots=True)
-class AlarmRow:
+class AlarmEntry:
     """One alarm that an asset can have: a row of the rationalisation sheet.
 
-    Attributes
-    ----------
-    asset, name
-        Which alarm.
-    unit
-        Of setpoint and deadband.
-    base, values
-        Each of `FIELDS` as the configuration has it, and as it is in effect; None: it has none.
-    changed
-        Fields in which they differ.
-    origin
-        Where the base stands.
+    - ``unit``: of setpoint and deadband.
+    - ``base``, ``values``: each of `FIELDS` as the configuration has it, and as it is in effect;
+      None: it has none.
+    - ``origin``: where the base stands.
     """
 
     asset: str
@@ -113,15 +105,9 @@ class AlarmRow:
 class Effective:
     """What is in effect.
 
-    Attributes
-    ----------
-    section
-        With the limits that are in effect.
-    overrides
-        What else single alarms have otherwise than their kind says.
-    problems
-        What of the overlay does not fit the configuration (any more), by alarm: there the
-        configuration holds.
+    - ``overrides``: what else single alarms have otherwise than their kind says.
+    - ``problems``: what of the overlay does not fit the configuration (any more), by alarm: there
+      the configuration holds.
     """
 
     section: AssetSection
@@ -136,7 +122,7 @@ def home_of(name: AlarmName, setting: str) -> AlarmName:
     return name
 
 
-def points_of(asset: AlarmedAsset) -> dict[AlarmName, AlarmPoint]:
+def points_of(asset: AlarmedAsset) -> dict[AlarmName, PossibleAlarm]:
     """Every alarm that an asset can have, as the configuration has it."""
     channels = {name: facts.source for name, facts in asset.facts.items()}
     subject = AlarmSubject(asset.section.limits, channels)
@@ -148,20 +134,12 @@ def points_of(asset: AlarmedAsset) -> dict[AlarmName, AlarmPoint]:
 
 
 def in_effect(asset: AlarmedAsset, overlay: Overlay) -> Effective:
-    """Put what was changed over the configuration.
-
-    Parameters
-    ----------
-    asset
-        As configured.
-    overlay
-        What was changed of it.
-    """
+    """Put what was changed over the configuration."""
     if not overlay:
         return Effective(asset.section)
     points = points_of(asset)
     problems: dict[AlarmName, str] = {}
-    limits: dict[str, Limits] = {}
+    limits: dict[str, LimitsSection] = {}
     overrides: dict[AlarmName, dict[str, Any]] = {}
     pairs: dict[tuple[str, str], dict[str, float]] = {}
     for name, changed in overlay.items():
@@ -182,7 +160,7 @@ def in_effect(asset: AlarmedAsset, overlay: Overlay) -> Effective:
         except ValueError as error:
             problems |= {(kind, channel, level): str(error) for level in levels}
             continue
-        if isinstance(pair, Limits):
+        if isinstance(pair, LimitsSection):
             limits[channel] = pair
         else:
             for level, setpoint in levels.items():
@@ -196,29 +174,20 @@ def in_effect(asset: AlarmedAsset, overlay: Overlay) -> Effective:
 
 
 def points_like(
-    points: Mapping[AlarmName, AlarmPoint], kind: str, channel: str
-) -> list[AlarmPoint]:
+    points: Mapping[AlarmName, PossibleAlarm], kind: str, channel: str
+) -> list[PossibleAlarm]:
     """Points of a channel that share the warning and alarm of a kind."""
     kinds = (MEASURED, FORECAST) if kind == MEASURED else (kind,)
     return [one for name, one in points.items() if name[0] in kinds and name[1] == channel]
 
 
-def checked_pair(asset: AlarmedAsset, point: AlarmPoint, levels: Mapping[str, float]) -> BaseModel:
+def checked_pair(
+    asset: AlarmedAsset, point: PossibleAlarm, levels: Mapping[str, float]
+) -> BaseModel:
     """Check a warning and an alarm against each other and against the range of their sensor.
 
-    Parameters
-    ----------
-    asset
-        As configured.
-    point
-        One of the two.
-    levels
-        Setpoints by level; what is not there stays as configured.
-
-    Raises
-    ------
-    ValueError
-        If they are not in order, or out of range.
+    A level that is not in ``levels`` stays as configured. Raises `ValueError` if they are not in
+    order, or out of range.
     """
     pair = cast(BaseModel | None, point.pair)
     if pair is None:
@@ -228,7 +197,7 @@ def checked_pair(asset: AlarmedAsset, point: AlarmPoint, levels: Mapping[str, fl
     except ValidationError as error:
         raise ValueError(first_message(error)) from error
     facts = asset.facts.get(point.channel)
-    if isinstance(found, Limits) and facts is not None:
+    if isinstance(found, LimitsSection) and facts is not None:
         low, high = facts.limits.low, facts.limits.high
         for level in levels:
             setpoint = getattr(found, level)
@@ -248,15 +217,10 @@ def first_message(error: ValidationError) -> str:
     return f"{where} {found['input']}: {said}" if where else said
 
 
-def rows_of(asset: AlarmedAsset, overlay: Overlay) -> list[AlarmRow]:
+def rows_of(asset: AlarmedAsset, overlay: Overlay) -> list[AlarmEntry]:
     """Give every alarm that an asset can have, with its settings in effect.
 
-    Parameters
-    ----------
-    asset
-        As configured.
-    overlay
-        What was changed of it; what does not fit is left out.
+    What does not fit of the overlay is left out.
     """
     problems = in_effect(asset, overlay).problems
     rows = []
@@ -271,12 +235,14 @@ def rows_of(asset: AlarmedAsset, overlay: Overlay) -> list[AlarmRow]:
                 own[key] = overlay[home][key]
         changed = tuple(key for key, value in own.items() if value != base[key])
         rows.append(
-            AlarmRow(asset.section.id, name, point.unit, base, base | own, changed, asset.origin)
+            AlarmEntry(asset.section.id, name, point.unit, base, base | own, changed, asset.origin)
         )
     return rows
 
 
-def base_of(kind: AlarmKind[Any], rule: LevelRule | PlainRule, point: AlarmPoint) -> dict[str, Any]:
+def base_of(
+    kind: AlarmKind[Any], rule: LevelRule | PlainRule, point: PossibleAlarm
+) -> dict[str, Any]:
     """Settings and texts of an alarm as the configuration and the product have them."""
     guidance = kind.guidance
     deadband = getattr(rule, point.deadband_key) if point.deadband_key else None

@@ -1,6 +1,7 @@
 """One asset of the configuration: bearing or network, channels, limits, alarms, controller."""
 
-from typing import Annotated, Any, Final, Literal, Self
+import re
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self
 
 from pydantic import (
     AfterValidator,
@@ -8,13 +9,22 @@ from pydantic import (
     Field,
     PositiveFloat,
     ValidationInfo,
+    create_model,
     field_validator,
     model_validator,
 )
 from pydantic_core import PydanticCustomError
 
 from service.alarm_kinds import AlarmsSection, above_ambient
-from service.domain.channels import AMBIENT, NODES, OPERATING_CHANNELS, RING_SENSORS, STANDARD
+from service.domain.channels import (
+    AMBIENT,
+    CONTROLLER_CHANNELS,
+    NODES,
+    OBSERVED_CHANNELS,
+    OPERATING_CHANNELS,
+    RING_SENSORS,
+    STANDARD,
+)
 from service.domain.section import Section
 from service.site.configuration import TomlTable
 from service.site.machines.bearings import BearingSection, bearing_table
@@ -22,7 +32,7 @@ from service.site.machines.networks import BEARING_14, NetworkSection, network_t
 from twin_core.windows import LowRiskRegion
 
 
-class LowRisk(Section):
+class LowRiskSection(Section):
     """The region of speed and load whose data may be used for identification."""
 
     speed_rpm_max: PositiveFloat
@@ -34,7 +44,7 @@ class LowRisk(Section):
         return LowRiskRegion(self.speed_rpm_max, self.load_n_max)
 
 
-class Limits(Section):
+class LimitsSection(Section):
     """Warning and alarm temperature of one measured point, in degrees Celsius."""
 
     warning: float = Field(ge=-50, le=500)
@@ -50,7 +60,7 @@ class Limits(Section):
 
 
 class IdentificationSection(Section):
-    """How far the twin may go by itself: observe, suggest or apply (activate)."""
+    """How far the twin may go automatically: observe, suggest or apply (activate)."""
 
     ladder: Literal["observe", "suggest", "apply"] = "apply"
 
@@ -62,25 +72,34 @@ class VerdictSection(Section):
     safe_below_probability: float = Field(0.05, gt=0, le=0.5)
 
 
-class ControllerSection(Section):
+class _ControllerSection(Section):
     """Channels of the bench controller; each is checked by the driver of its source."""
 
-    phase: TomlTable | None = None
-    speed_setpoint_rpm: TomlTable | None = None
-    load_setpoint_n: TomlTable | None = None
     plan: TomlTable | None = None
+
+
+if TYPE_CHECKING:
+    ControllerSection = _ControllerSection
+else:
+    ControllerSection = create_model(
+        "ControllerSection",
+        __base__=_ControllerSection,
+        __doc__=_ControllerSection.__doc__,
+        **dict.fromkeys(CONTROLLER_CHANNELS, (TomlTable | None, None)),
+    )
 
 
 def _channel_name(name: str, info: ValidationInfo) -> str:
     known = _temperatures(info)
-    if known is not None and name not in (*OPERATING_CHANNELS, *_inputs(info), *known):
+    others = (*OPERATING_CHANNELS, *OBSERVED_CHANNELS, *_inputs(info))
+    if known is not None and name not in (*others, *known):
         raise ValueError(f"unknown channel; expected one of {_listed(info)}")
     return name
 
 
 def _limited(name: str, info: ValidationInfo) -> str:
     known = _temperatures(info)
-    if known is not None and name not in known:
+    if known is not None and name not in (*known, *OBSERVED_CHANNELS):
         raise ValueError(f"limits belong to a temperature such as {known[0]}")
     return name
 
@@ -100,8 +119,10 @@ def _inputs(info: ValidationInfo) -> tuple[str, ...]:
 
 def _listed(info: ValidationInfo) -> str:
     if _network_of(info) is None:
-        return f"{', '.join(OPERATING_CHANNELS + RING_SENSORS)}, {NODES[0]} to {NODES[-1]}"
-    return ", ".join((*OPERATING_CHANNELS, *_inputs(info), *(_temperatures(info) or ())))
+        named = OPERATING_CHANNELS + OBSERVED_CHANNELS + RING_SENSORS
+        return f"{', '.join(named)}, {NODES[0]} to {NODES[-1]}"
+    operating = (*OPERATING_CHANNELS, *OBSERVED_CHANNELS, *_inputs(info))
+    return ", ".join((*operating, *(_temperatures(info) or ())))
 
 
 def _network_of(info: ValidationInfo) -> NetworkSection | None:
@@ -125,10 +146,16 @@ ModelName = Literal["default", "paper", "paper-reduced"]
 ASSET_ID: Final = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
 
 
+def _asset_id(text: str) -> str:
+    if not re.fullmatch(ASSET_ID, text):
+        raise ValueError("expected letters, digits, '.', '_' and '-', 64 at most")
+    return text
+
+
 class AssetSection(Section):
     """One bearing on a bench or in a motor."""
 
-    id: str = Field(pattern=ASSET_ID)
+    id: Annotated[str, AfterValidator(_asset_id)]
     #: What it was made from, if anything; its tables are the template's with what it gives itself.
     template: str = Field("", max_length=64)
     #: What the pages call the asset; its id if absent.
@@ -142,8 +169,10 @@ class AssetSection(Section):
         None, validate_default=True
     )
     model: ModelName = "default"
-    low_risk: LowRisk
-    limits: dict[Annotated[str, AfterValidator(_limited)], Limits] = Field(default_factory=dict)
+    low_risk: LowRiskSection
+    limits: dict[Annotated[str, AfterValidator(_limited)], LimitsSection] = Field(
+        default_factory=dict
+    )
     channels: dict[Annotated[str, AfterValidator(_channel_name)], TomlTable]
     controller: ControllerSection = ControllerSection()
     identification: IdentificationSection = IdentificationSection()

@@ -21,16 +21,10 @@ _FLAT_RESOLUTION_K = 0.2
 class CheckLimits:
     """What the values of one channel can do, in the channel's unit; infinite: anything.
 
-    Attributes
-    ----------
-    low, high
-        Least and greatest plausible value.
-    max_jump
-        Greatest change from one sample to the next, on top of `max_rate_per_s`.
-    max_rate_per_s
-        Greatest lasting change per process second.
-    flat_line_s
-        Process seconds for which a running machine may give exactly the same value.
+    - ``low``, ``high``: least and greatest plausible value.
+    - ``max_jump``: greatest change from one sample to the next, on top of `max_rate_per_s`.
+    - ``max_rate_per_s``: greatest lasting change per process second.
+    - ``flat_line_s``: process seconds for which a running machine may give exactly the same value.
     """
 
     low: float = -math.inf
@@ -46,15 +40,7 @@ class CheckLimits:
 
 
 def limits_of(name: str, source: SourceConfig, channel: MeasuredChannel) -> CheckLimits:
-    """Return what a channel's values can do: as configured, else what a temperature can.
-
-    Parameters
-    ----------
-    name
-        Of the channel.
-    source, channel
-        Their configuration.
-    """
+    """Return what a channel's values can do: as configured, else what a temperature can."""
     jump = rate = flat = 0.0
     # A record that is played faster than it happened changes as much faster.
     if name.endswith("_c") and source.speed_up <= 1.0:
@@ -80,15 +66,6 @@ def within_machine(name: str, limits: CheckLimits, ranges: Mapping[str, Range]) 
     """Let no speed, load or temperature be good that the machine cannot have.
 
     A configured `valid_range` counts up to `REFUSED_BEYOND` times the default one.
-
-    Parameters
-    ----------
-    name
-        Of the channel.
-    limits
-        As configured.
-    ranges
-        Least and greatest value that the machine can have, by channel.
     """
     if name.startswith("t_"):
         ranges = {name: TEMPERATURE_C}

@@ -1,6 +1,7 @@
 """What every part of the configuration shares: strict sections, TOML files, errors in words."""
 
 import re
+import stat
 import tomllib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -8,6 +9,8 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
+
+from service.domain.errors import BearingTwinError
 
 EDGE_KINDS = (
     "constant",
@@ -25,14 +28,8 @@ LOSS_KINDS = ("copper", "power", "speed")
 _SECRET = re.compile(r"pass(?!ed)|pwd|secret|token|(database|nats)_url|^url$", re.IGNORECASE)
 
 
-class SettingsError(ValueError):
-    """A configuration that cannot be used.
-
-    Parameters
-    ----------
-    *lines
-        One line for the user per error.
-    """
+class SettingsError(BearingTwinError, ValueError):
+    """A configuration that cannot be used."""
 
     def __init__(self, *lines: str) -> None:
         self.lines = tuple(" ".join(line.split()) for line in lines)
@@ -46,15 +43,7 @@ def describe(error: ValidationError, prefix: str = "") -> str:
 
 
 def describe_all(error: ValidationError, prefix: str = "") -> list[str]:
-    """Say which keys of a configuration are wrong, one line per error.
-
-    Parameters
-    ----------
-    error
-        What pydantic found.
-    prefix
-        Key of the table that was checked.
-    """
+    """Say which keys of a configuration are wrong, one line per error."""
     errors = error.errors()
     places = [one["loc"] for one in errors]
 
@@ -71,7 +60,7 @@ def describe_all(error: ValidationError, prefix: str = "") -> list[str]:
 def _lines(error: ErrorDetails, prefix: str) -> Iterator[str]:
     key, place = prefix, error["loc"]
     for before, part in zip(("", *place), place, strict=False):
-        # A kind in the place of a key is how pydantic tells which of several tables it checked.
+        # A kind in the place of a key is how pydantic names which of several tables it checked.
         of_table = isinstance(before, int) or before == "source"
         if part == "[key]" or (of_table and part in (*EDGE_KINDS, *SOURCE_KINDS, *LOSS_KINDS)):
             continue
@@ -108,16 +97,13 @@ def _is_secret(place: Iterable[int | str]) -> bool:
 
 
 TomlTable = dict[str, Any]
-"""A table of the configuration as it was read: whoever it belongs to checks it."""
+"""A table of the configuration as it was read: its owner checks it."""
 
 
 def read_toml(file: Path, text: str | None = None) -> TomlTable:
     """Read a TOML file, or the text that it would hold.
 
-    Raises
-    ------
-    SettingsError
-        If it cannot be read.
+    Raises `SettingsError` if it cannot be read.
     """
     try:
         return tomllib.loads(file.read_text(encoding="utf-8") if text is None else text)
@@ -125,3 +111,35 @@ def read_toml(file: Path, text: str | None = None) -> TomlTable:
         raise SettingsError(f"{file}: cannot be read ({error.strerror})") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise SettingsError(f"{file}: not valid TOML ({error})") from error
+
+
+def readable_secrets(file: Path | None) -> list[str]:
+    """Warn in one line when every user of the machine can read the secrets of a configuration."""
+    try:
+        if file is None or not file.stat().st_mode & stat.S_IROTH:
+            return []
+        names = list(_secrets(read_toml(file)))
+    except (OSError, SettingsError):  # who reads it says so
+        return []
+    if not names:
+        return []
+    return [
+        f"every user of this machine can read {', '.join(names)}; expected mode 0640 or 0600 "
+        "of the file, or the value in the environment"
+    ]
+
+
+def _secrets(part: Any, key: str = "") -> Iterator[str]:
+    """Name the keys of texts that only the service should know."""
+    if isinstance(part, dict):
+        for name, value in part.items():
+            yield from _secrets(value, f"{key}.{name}" if key else name)
+    elif isinstance(part, list):
+        for number, value in enumerate(part):
+            yield from _secrets(value, f"{key}[{number}]")
+    elif isinstance(part, str) and part:
+        name = key.rpartition(".")[2]
+        is_address = name.lower() in ("database_url", "nats_url")
+        is_secret = bool(_SECRET.search(name)) and not name.endswith(("_file", "_variable"))
+        if is_secret and (not is_address or "@" in part.partition("://")[2]):
+            yield key

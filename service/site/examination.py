@@ -16,16 +16,10 @@ from service.site.wiring import AssetTables, Wiring, wire_what_can_be
 class Examination:
     """What was found in a configuration.
 
-    Attributes
-    ----------
-    settings
-        None when a section is wrong.
-    wiring
-        Of all sources and channels that are right.
-    errors
-        One line each: the file, the key, its value and what was expected.
-    warnings
-        One line each: what is missing, and what is assumed in its place.
+    - ``settings``: None when a section is wrong.
+    - ``wiring``: of all sources and channels that are right.
+    - ``errors``: one line each: the file, the key, its value and what was expected.
+    - ``warnings``: one line each: what is missing, and what is assumed in its place.
     """
 
     settings: Settings | None
@@ -37,12 +31,7 @@ class Examination:
 def examine(file: Path | None, text: str | None = None) -> Examination:
     """Check all sections, sources, channels and networks of a configuration; opens no connection.
 
-    Parameters
-    ----------
-    file
-        TOML file; None takes the defaults and the environment.
-    text
-        What the file would hold, when that is not what it holds now.
+    ``text``: what the file would hold, when that is not what it holds now.
     """
     errors: list[str] = []
     settings = None
@@ -72,10 +61,7 @@ def examine(file: Path | None, text: str | None = None) -> Examination:
 def load_site(file: Path | None) -> tuple[Settings, tuple[str, ...]]:
     """Read a configuration with everything that it names; returns it and its warnings.
 
-    Raises
-    ------
-    SettingsError
-        One line for every error there is.
+    Raises `SettingsError`: one line for every error there is.
     """
     found = examine(file)
     if found.errors or found.settings is None:

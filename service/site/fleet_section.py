@@ -13,7 +13,7 @@ from service.site.configuration import SettingsError
 
 
 def _address(text: str) -> str:
-    """Whoever reaches a scheduler's port runs code on its workers: not without certificates."""
+    """Access to a scheduler's port is access to its workers: not without certificates."""
     try:
         place = urlsplit(text)
         host, port = place.hostname, place.port
@@ -44,7 +44,7 @@ def _database_or_none(text: str) -> str:
 
 
 def _nats_or_none(text: str) -> str:
-    """Whoever reaches the bus commands every cell: not without a password from other machines."""
+    """Access to the bus is access to every cell: not without a password from other machines."""
     if not text:
         return text
     try:
@@ -96,19 +96,7 @@ def checked_scheduler(
 ) -> SchedulerAddress:
     """Give the scheduler of the option ``--scheduler``, or of the configuration.
 
-    Parameters
-    ----------
-    section
-        Of the configuration.
-    base_dir
-        Its files are relative to this directory.
-    option
-        None where it is not given.
-
-    Raises
-    ------
-    SettingsError
-        If there is none, or a file is missing.
+    Raises `SettingsError` if there is none, or a file is missing.
     """
     try:
         address = section.scheduler if option is None else _address(option)

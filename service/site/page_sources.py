@@ -10,18 +10,22 @@ from pathlib import Path
 from typing import Final
 
 from adapters.configuration import SourceConfig
-from service.domain.commissioning import DBC_NAME
+from service.site.asset_section import ASSET_ID
 from service.site.configuration import SettingsError, TomlTable
 from service.site.wiring import source_of
 
 DRIVERS: Final = ("modbus-tcp", "modbus-rtu", "can")
 CAN_INTERFACES: Final = ("slcan", "socketcan", "socketcand", "udp_multicast")
-#: Keys of a CAN source that the page may give; what a library makes of others nobody knows.
+#: Keys of a CAN source that the page may give; what a library makes of others is unknown.
 _CAN_KEYS: Final = frozenset(
     {"name", "driver", "interface", "channel", "dbc", "host", "port", "bitrate", "sleep_after_open"}
 )
+_NAME: Final = re.compile(ASSET_ID)
 _DEVICE: Final = re.compile(r"/dev/[A-Za-z0-9._/-]+")
 _SOCKET: Final = re.compile(r"socket://[A-Za-z0-9.:\[\]_-]+")
+
+#: A file next to the configuration: no folders, nothing hidden.
+DBC_NAME: Final = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,59}\.dbc$"
 
 
 def source_from_page(
@@ -29,21 +33,8 @@ def source_from_page(
 ) -> SourceConfig:
     """Check a source that the page names.
 
-    Parameters
-    ----------
-    table
-        As in the configuration file.
-    base_dir
-        Where DBC files are.
-    key
-        Begins each line of an error.
-    in_file
-        Sources of the configuration file, which may be more than the page may give.
-
-    Raises
-    ------
-    SettingsError
-        One line for each error.
+    ``key``: begins each line of an error; ``in_file``: sources of the configuration file, which may
+    be more than the page may give. Raises `SettingsError`: one line for each error.
     """
     wrong = [] if table in in_file else _wrong(table)
     if wrong:
@@ -51,8 +42,19 @@ def source_from_page(
     return source_of(key, table, base_dir).config
 
 
+def outside_folder(network: object) -> str | None:
+    """Say why a network may not come from the page or by REST: its file lies elsewhere."""
+    if isinstance(network, str) and (
+        Path(network).is_absolute() or ".." in Path(network).parts or network.startswith("~")
+    ):
+        return "expected a file in the folder of the configuration file, or below it"
+    return None
+
+
 def _wrong(table: TomlTable) -> list[str]:
-    driver = table.get("driver")
+    driver, name = table.get("driver"), table.get("name")
+    if not (isinstance(name, str) and _NAME.fullmatch(name)):
+        return [f"name = {name!r}: expected letters, digits, '.', '_' and '-', 64 at most"]
     if driver not in DRIVERS:
         return [f"driver = {driver!r}: expected one of {', '.join(DRIVERS)} from the page"]
     if driver == "modbus-rtu":

@@ -4,27 +4,16 @@ import zlib
 from collections.abc import Iterable
 
 from service.site.asset_section import AssetSection
-from service.site.provisioning import wire_sources
+from service.site.asset_tables import wire_sources
 
 
 def partitions_of(assets: Iterable[AssetSection], count: int) -> dict[str, int]:
     """Give the partition of each asset.
 
-    A device is read by one cell only. So assets that are read from the same source belong
-    together, and so do all sources of one asset, through as many steps as there are. An asset to
-    which everything is pushed stands for itself.
-
-    Parameters
-    ----------
-    assets : iterable of AssetSection
-        All assets of the fleet.
-    count : int
-        Number of partitions.
-
-    Returns
-    -------
-    dict of str to int
-        Partition by asset, from 0; the same on every machine.
+    A device is read by one cell only. So assets that are read from the same source belong together,
+    and so do all sources of one asset, through as many steps as there are. An asset to which
+    everything is pushed stands for itself. Partitions count from 0 and are the same on every
+    machine.
     """
     sources = {asset.id: sorted(wire_sources(asset)) for asset in assets}
     first: dict[str, str] = {}

@@ -1,4 +1,4 @@
-"""Channels that every verdict needs, for whoever makes one or hands it on."""
+"""Channels that every verdict needs."""
 
 from typing import Final
 

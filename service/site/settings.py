@@ -7,7 +7,7 @@ text), which wins over the file. Errors name the key, the value and what was exp
 import ipaddress
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import TYPE_CHECKING, Annotated, Any, Self
 from urllib.parse import urlsplit
 
 from pydantic import (
@@ -15,6 +15,7 @@ from pydantic import (
     Field,
     SecretStr,
     ValidationError,
+    create_model,
     model_validator,
 )
 from pydantic_settings import (
@@ -25,18 +26,15 @@ from pydantic_settings import (
 )
 from pydantic_settings import SettingsError as UnreadableVariableError
 
+from adapters.configuration import first_repeated
 from service.domain.section import Section
+from service.feature_folders import modules
 from service.site.asset_section import AssetSection
 from service.site.configuration import SettingsError, TomlTable, describe_all, read_toml
 from service.site.fleet_section import FleetSection
 from service.site.machines.bearings import BearingSection, with_designation
 from service.site.machines.networks import (
     folder_of_files,
-)
-from service.site.notification_section import (
-    NotificationSection,
-    SmtpSection,
-    check_notifications,
 )
 from service.site.templates import from_template, templates_by_name
 
@@ -135,6 +133,15 @@ class OpcUaSection(Section):
     endpoint: Annotated[str, AfterValidator(_opcua_endpoint)] = (
         "opc.tcp://127.0.0.1:4840/bearing-twin"
     )
+    #: Of one's own authority, and its RSA key; without them the service makes a certificate.
+    certificate: Path | None = None
+    private_key: Path | None = None
+
+    @model_validator(mode="after")
+    def _both_files(self) -> "OpcUaSection":
+        if (self.certificate is None) != (self.private_key is None):
+            raise ValueError("expected both certificate and private_key, or neither")
+        return self
 
 
 class MqttSection(Section):
@@ -153,7 +160,7 @@ class MqttSection(Section):
 
 
 class ModbusServerSection(Section):
-    """The tags as registers for a PLC, read-only; see `docs/modbus-server.md`."""
+    """The tags as registers for a PLC, read-only; see `docs/connect/modbus-server.md`."""
 
     enabled: bool = False
     host: str = Field("127.0.0.1", min_length=1)
@@ -169,8 +176,8 @@ class TlsSection(Section):
     key: Path
 
 
-class Settings(BaseSettings):
-    """The whole configuration of a service."""
+class CoreSettings(BaseSettings):
+    """The configuration of a service but for the sections of features."""
 
     model_config = SettingsConfigDict(
         env_prefix="BEARING_TWIN__",
@@ -191,8 +198,6 @@ class Settings(BaseSettings):
     modbus_server: ModbusServerSection = ModbusServerSection()
     #: Sections of further publishers, by name; each is checked by the publisher itself.
     publishers: dict[str, TomlTable] = {}
-    smtp: SmtpSection = SmtpSection()
-    notifications: tuple[NotificationSection, ...] = ()
     tls: TlsSection | None = None
     bearings: dict[str, BearingSection] = {}
     sources: tuple[TomlTable, ...] = ()
@@ -241,14 +246,9 @@ class Settings(BaseSettings):
             ("sources", [str(source.get("name")) for source in self.sources]),
             ("assets", [asset.id for asset in self.assets]),
         ):
-            for name in names:
-                if names.count(name) > 1:
-                    raise ValueError(f"{what}: the name {name!r} is used twice; expected unique")
-        return self
-
-    @model_validator(mode="after")
-    def _notifications_fit(self) -> Self:
-        check_notifications(self.notifications, self.smtp)
+            twice = first_repeated(names)
+            if twice is not None:
+                raise ValueError(f"{what}: the name {twice!r} is used twice; expected unique")
         return self
 
     @model_validator(mode="after")
@@ -276,17 +276,7 @@ class Settings(BaseSettings):
     def asset(self, table: TomlTable, key: str) -> AssetSection:
         """Check the table of an asset that is not in the file, as those of the file are checked.
 
-        Parameters
-        ----------
-        table
-            As in the file.
-        key
-            Names it in messages.
-
-        Raises
-        ------
-        SettingsError
-            One line for each error.
+        Raises `SettingsError`: one line for each error.
         """
         folder = folder_of_files.set(self.base_dir)
         try:
@@ -305,6 +295,18 @@ class Settings(BaseSettings):
     def data_dir(self) -> Path:
         """Directory of the store, the spool and checkpoints."""
         return self.path(self.service.data_dir)
+
+
+if TYPE_CHECKING:
+    Settings = CoreSettings
+else:
+    _sections = [feature.Sections for _, feature in modules("settings")]
+    Settings = create_model(
+        "Settings",
+        __base__=(CoreSettings, *_sections),
+        __module__=__name__,
+        __doc__="The whole configuration of a service.",
+    )
 
 
 def _with_fleet_database(given: Any) -> Any:
@@ -330,18 +332,9 @@ def _completed(
 def load_settings(file: Path | None, text: str | None = None) -> Settings:
     """Read a configuration file and the environment.
 
-    Parameters
-    ----------
-    file : pathlib.Path or None
-        TOML file; None takes the defaults, relative to the present directory.
-    text : str, optional
-        What the file would hold, when that is not what it holds now.
-
-    Raises
-    ------
-    SettingsError
-        If the file cannot be read or keys are wrong; one line for each, which names the file and
-        the key.
+    ``text``: what the file would hold, when that is not what it holds now. Raises `SettingsError`
+    if the file cannot be read or keys are wrong; one line for each, which names the file and the
+    key.
     """
     document = {} if file is None else read_toml(file, text)
     base_dir = Path() if file is None else file.parent

@@ -14,7 +14,7 @@ from service.site.configuration import SettingsError, TomlTable
 #: Key of an asset that names its template, and of both that gives values.
 TEMPLATE: Final = "template"
 VALUES: Final = "values"
-#: The one value that nobody gives.
+#: The one value that is never given.
 _ID: Final = "id"
 #: Keys of a template that are no keys of an asset.
 _OWN: Final = ("name", VALUES)
@@ -24,10 +24,7 @@ _HOLE = re.compile(r"\{([a-z][a-z0-9_]*)\}")
 def templates_by_name(given: object) -> dict[str, TomlTable]:
     """Sort the templates of a configuration by name.
 
-    Raises
-    ------
-    SettingsError
-        If one has no name, or two have the same.
+    Raises `SettingsError` if one has no name, or two have the same.
     """
     found: dict[str, TomlTable] = {}
     for number, table in enumerate(given if isinstance(given, list | tuple) else ()):
@@ -48,24 +45,9 @@ def templates_by_name(given: object) -> dict[str, TomlTable]:
 def from_template(asset: TomlTable, templates: Mapping[str, TomlTable], key: str) -> TomlTable:
     """Make the whole table of an asset from its template and what it gives itself.
 
-    Parameters
-    ----------
-    asset
-        Table of the asset. Without a template it is given back as it is.
-    templates
-        By name.
-    key
-        Of the asset's table, for messages.
-
-    Returns
-    -------
-    dict
-        What the asset gives wins over the template; tables are merged key by key.
-
-    Raises
-    ------
-    SettingsError
-        If there is no such template, a value is missing, or one that no hole asks for is given.
+    What the asset gives wins over the template; tables are merged key by key. Raises
+    `SettingsError` if there is no such template, a value is missing, or one that no hole asks for
+    is given.
     """
     name = asset.get(TEMPLATE)
     if not name:

@@ -90,10 +90,7 @@ class AssetTables:
 def wire(settings: Settings) -> Wiring:
     """Check every source and channel of a configuration against its driver.
 
-    Raises
-    ------
-    SettingsError
-        One line for each error: names the key, the value and what was expected.
+    Raises `SettingsError`: one line for each error: names the key, the value and what was expected.
     """
     return wire_assets(
         settings, {f"assets[{number}]": asset for number, asset in enumerate(settings.assets)}
@@ -122,12 +119,8 @@ def with_assets(
 ) -> dict[str, SourceWiring]:
     """Give the sources with what they read for other assets; without any use a source is left out.
 
-    Parameters
-    ----------
-    sources
-        By name, with what is read from them now.
-    assets
-        What is read for some assets in the place of what is read for them now; None: nothing.
+    ``assets``: what is read for some assets in the place of what is read for them now; None:
+    nothing.
     """
     if not assets:
         return dict(sources)
@@ -170,21 +163,7 @@ def wire_what_can_be(
 ) -> tuple[Wiring, list[str]]:
     """Check every source and channel against its driver, and go on after errors.
 
-    Parameters
-    ----------
-    sources
-        Tables of the sources by their number in the configuration.
-    assets
-        Whose channels and controllers are to be bound.
-    base_dir
-        Where relative paths begin.
-
-    Returns
-    -------
-    Wiring
-        Of all that is right.
-    list of str
-        One line per error.
+    Returns the wiring of all that is right, and one line per error.
     """
     errors: list[str] = []
     wired = _sources(sources, base_dir, errors)
@@ -241,10 +220,7 @@ def _sources(
 def source_of(key: str, table: TomlTable, base_dir: Path) -> SourceWiring:
     """Check the table of one source against its driver.
 
-    Raises
-    ------
-    SettingsError
-        One line for each error, which begins with ``key``.
+    Raises `SettingsError`: one line for each error, which begins with ``key``.
     """
     driver = table.get("driver")
     if not isinstance(driver, str) or driver not in DRIVERS:

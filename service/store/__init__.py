@@ -1,5 +1,6 @@
 """The store: samples, models, jobs, alarms, keys, in SQLite or PostgreSQL."""
 
+from service.store.alarm_overlays import AlarmSettingChange, AlarmSettingPage
 from service.store.alarm_records import (
     Alarm,
     AlarmCount,
@@ -8,8 +9,7 @@ from service.store.alarm_records import (
     Annunciations,
     JournalFilter,
 )
-from service.store.alarm_settings import AlarmSettingChange, AlarmSettingPage
-from service.store.database_lock import DatabaseLock, lock_database
+from service.store.changes import AlarmChange, FeatureChange, RefuseChange
 from service.store.durable_queue import DurableQueue
 from service.store.errors import (
     ActiveJobError,
@@ -21,8 +21,8 @@ from service.store.errors import (
     StoreUnavailableError,
 )
 from service.store.locking import DataDirectoryLock, lock_data_directory
-from service.store.outbox import AlarmChange, Outbox
-from service.store.ownership import Ownership, run_name
+from service.store.opening import lock_database
+from service.store.outbox import Outbox
 from service.store.pages import PageRow
 from service.store.queue_file import (
     Mended,
@@ -49,10 +49,7 @@ from service.store.records import (
     WriteCounts,
 )
 from service.store.rollups import Retention, RetentionTime
-from service.store.runs import Annotation, Run, RunPage
-from service.store.silences import Silence
 from service.store.store import Store
-from service.store.tellings import Telling, TellingChange
 
 __all__ = [
     "Activation",
@@ -64,7 +61,6 @@ __all__ = [
     "AlarmSettingChange",
     "AlarmSettingPage",
     "AlarmTransition",
-    "Annotation",
     "Annunciations",
     "ApiKey",
     "AuditEntry",
@@ -73,8 +69,8 @@ __all__ = [
     "DataDirectoryInUseError",
     "DataDirectoryLock",
     "DatabaseInUseError",
-    "DatabaseLock",
     "DurableQueue",
+    "FeatureChange",
     "FirstModel",
     "Job",
     "JobChanges",
@@ -85,28 +81,22 @@ __all__ = [
     "ModelVersion",
     "NotOwnerError",
     "Outbox",
-    "Ownership",
     "PageRow",
     "ProvisionedAsset",
     "QueueFile",
     "QueueLayout",
     "QueueUnavailableError",
+    "RefuseChange",
     "Retention",
     "RetentionTime",
     "Rollup",
     "Row",
-    "Run",
-    "RunPage",
-    "Silence",
     "Store",
     "StoreDamagedError",
     "StoreError",
     "StoreUnavailableError",
     "StoredSample",
-    "Telling",
-    "TellingChange",
     "WriteCounts",
     "lock_data_directory",
     "lock_database",
-    "run_name",
 ]

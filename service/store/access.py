@@ -9,10 +9,10 @@ from uuid import uuid4
 from sqlalchemy import RowMapping, delete, insert, select, update
 
 from service.domain.roles import Role
+from service.store.access_tables import ApiKeyRow, BrowserSessionRow
 from service.store.audit import add_line
 from service.store.part import StorePart
 from service.store.records import ApiKey, AuditEntry, BrowserSession
-from service.store.tables import ApiKeyRow, BrowserSessionRow
 
 _KEY_COLUMNS = (
     ApiKeyRow.id,
@@ -41,20 +41,10 @@ class Access(StorePart):
     ) -> ApiKey:
         """Store a key, and the line of the audit trail in the same transaction.
 
-        Parameters
-        ----------
-        prefix : str
-            The first characters of the key, by which people recognise it.
-        sha256 : str
-            Hash of the key, hexadecimal.
-        role : str
-            What the key may do.
-        created_us, expires_us : int
-            Wall time, UTC microseconds; a key without expiry lives until it is revoked.
-        label : str
-            What people call it.
-        line : AuditEntry, optional
-            Who made it.
+        - ``prefix``: the first characters of the key, by which people recognise it.
+        - ``sha256``: hash of the key, hexadecimal.
+        - ``created_us``, ``expires_us``: wall time, UTC microseconds; a key without expiry lives
+          until it is revoked.
         """
         key = ApiKey(uuid4().hex, prefix, role, label, created_us, expires_us, revoked_us=None)
         with self._database.writing() as connection:
@@ -114,21 +104,11 @@ class Access(StorePart):
     ) -> BrowserSession:
         """Store a browser session of a key; sessions that are over by then are cleared away.
 
-        Parameters
-        ----------
-        sha256 : str
-            Hash of the cookie, hexadecimal.
-        key_id : str
-            The key that opened the session.
-        created_us, expires_us : int
-            Wall time, UTC microseconds.
-        most : int, optional
-            Sessions that the key has then; the ones opened first end.
+        Raises `KeyError` if there is no such key.
 
-        Raises
-        ------
-        KeyError
-            If there is no such key.
+        - ``sha256``: hash of the cookie, hexadecimal.
+        - ``created_us``, ``expires_us``: wall time, UTC microseconds.
+        - ``most``: sessions that the key has then; the ones opened first end.
         """
         with self._database.writing() as connection:
             row = connection.execute(

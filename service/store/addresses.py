@@ -16,10 +16,7 @@ _HIDDEN = "hidden"
 def parse_address(text: str) -> URL:
     """Parse the configured URL of a database.
 
-    Raises
-    ------
-    StoreError
-        If it is none of the kinds that there are; one line without its password.
+    Raises `StoreError` if it is none of the kinds that there are; one line without its password.
     """
     try:
         url = make_url(text)

@@ -1,7 +1,7 @@
 """What the store hands out and takes in of alarms and their journal; times in process time."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True, slots=True)
@@ -11,7 +11,8 @@ class Alarm:
     ``value`` and ``limit_value`` are in ``unit``; ``since_us`` is when the present state began;
     ``raised_at_us`` is 0 for one that was set aside before it was ever raised; ``present`` is what
     was last known of its condition, delays included; ``comment`` is the latest one;
-    ``peak_value`` is the highest value while the condition was there.
+    ``peak_value`` is the highest value while the condition was there; ``assets`` are those of a
+    cause that many share, of which ``asset`` is the one under which the alarm is kept.
     """
 
     id: str
@@ -41,6 +42,7 @@ class Alarm:
     comment: str | None
     peak_value: float | None = None
     peak_at_us: int | None = None
+    assets: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,28 +72,29 @@ class AlarmTransition:
     peak_value: float | None = None
     peak_at_us: int | None = None
     duration_s: float | None = None
+    assets: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class AlarmJournalPage:
-    """Part of the alarm journal, newest first; ``next_cursor`` is None on the last page."""
+    """Part of the alarm journal, newest first.
+
+    - ``next_cursor``: None on the last page.
+    - ``units``: in which values and peaks are, by the id of the alarm; only where it has one.
+    """
 
     items: list[AlarmTransition]
     next_cursor: int | None
+    units: Mapping[str | None, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
 class JournalFilter:
     """Which lines of the alarm journal are asked for; what is None does not matter.
 
-    Attributes
-    ----------
-    asset, alarm_id : str or None
-        Only of this asset, of this alarm.
-    start_us, end_us : int or None
-        Process time, UTC microseconds; the start is included, the end is not.
-    events : bool or None
-        Only events, or only what happened to alarms.
+    - ``start_us``, ``end_us``: process time, UTC microseconds; the start is included, the end is
+      not.
+    - ``events``: only events, or only what happened to alarms.
     """
 
     asset: str | None = None
@@ -114,16 +117,11 @@ class AlarmCount:
 class Annunciations:
     """How many times alarms called for an operator (became UNACK).
 
-    Attributes
-    ----------
-    in_last_10_min, in_last_24_h : int
-        Up to now.
-    most_in_10_min : int
-        In the worst of the last day's spans of ten minutes, counted from now backwards.
-    by_priority : mapping of int to int
-        In the last day.
-    most_frequent : list of AlarmCount
-        In the last day, most frequent first.
+    - ``in_last_10_min``, ``in_last_24_h``: up to now.
+    - ``most_in_10_min``: in the worst of the last day's spans of ten minutes, counted from now
+      backwards.
+    - ``by_priority``: in the last day.
+    - ``most_frequent``: in the last day, most frequent first.
     """
 
     in_last_10_min: int

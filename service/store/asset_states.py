@@ -37,7 +37,8 @@ class AssetStates(StorePart):
     ) -> None:
         """Keep the documents of many assets in one transaction, as `save` does.
 
-        Those of assets that another cell owns now are left out: it has kept newer ones.
+        Those of assets that another cell owns now are left out: it has kept newer ones. Cells write
+        states next to each other: each only those of assets that are its own until the commit.
         """
         if not documents:
             return
@@ -46,7 +47,9 @@ class AssetStates(StorePart):
             for asset, one in documents.items()
         }
         fence = self._database.fence
-        with self._database.writing(_PATIENCE_S) as connection:
+        # The audit trail is everyone's; for its lines this transaction must be alone.
+        turn = self._database.writing if lines else self._database.writing_samples
+        with turn(_PATIENCE_S) as connection:
             held = rows.keys() if fence is None else fence.held(connection, rows.keys())
             if len(held) < len(rows):
                 _log.warning("states_of_others_left_out", count=len(rows) - len(held))

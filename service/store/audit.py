@@ -4,16 +4,16 @@ from dataclasses import asdict, fields
 
 from sqlalchemy import Connection, insert, select
 
+from service.store.access_tables import AuditRow
 from service.store.deliveries import Delivery
 from service.store.part import StorePart
 from service.store.records import AuditEntry, AuditPage
-from service.store.tables import AuditRow
 
 _COLUMNS = tuple(getattr(AuditRow, field.name) for field in fields(AuditEntry))
 
 
 def add_line(connection: Connection, entry: AuditEntry | None) -> None:
-    """Write one line, if there is one, within the transaction of the change that it tells of."""
+    """Write one line, if there is one, within the transaction of its change."""
     if entry is not None:
         connection.execute(insert(AuditRow).values(asdict(entry)))
 
@@ -35,15 +35,7 @@ class Audit(StorePart):
         return self._expire(AuditRow, before_us)
 
     def page(self, limit: int = 100, cursor: int | None = None) -> AuditPage:
-        """Part of the trail, newest first.
-
-        Parameters
-        ----------
-        limit : int
-            Lines at most.
-        cursor : int, optional
-            `AuditPage.next_cursor` of the page before.
-        """
+        """Part of the trail, newest first."""
         rows, following = self._newest_first(
             select(AuditRow.id, *_COLUMNS), AuditRow.id, limit, cursor
         )

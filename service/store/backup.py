@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import secrets
 import shutil
 import sqlite3
 import subprocess
@@ -14,28 +15,23 @@ from sqlalchemy.engine import URL
 from service.files import make_private_file
 from service.store.copies import check_sqlite, copy_sqlite, table_counts
 from service.store.errors import StoreError
+from service.store.identity import RESTORED, renew
 from service.store.opening import open_database
-from service.store.tables import Base
+from service.store.tables import all_tables
 
-_TABLES = sorted([*Base.metadata.tables, "alembic_version"])
 #: Tables whose rows make a store that someone would miss.
 _MISSED = ("samples", "packed_hours", "model_versions", "api_keys", "alarms")
+
+
+def _table_names() -> list[str]:
+    return sorted([*all_tables().tables, "alembic_version"])
 
 
 def back_up(url: URL, out: Path) -> dict[str, int]:
     """Write a backup of a store, also while a service works on it; return its rows by table.
 
-    Parameters
-    ----------
-    url : sqlalchemy.engine.URL
-        Of the store.
-    out : pathlib.Path
-        A file that does not exist yet: an SQLite file, or a dump in PostgreSQL's custom format.
-
-    Raises
-    ------
-    StoreError
-        If it cannot be made, or is not whole.
+    ``out``: a file that does not exist yet: an SQLite file, or a dump in PostgreSQL's custom
+    format. Raises `StoreError` if it cannot be made, or is not whole.
     """
     if out.exists():
         raise StoreError(f"backup {out}: exists already; expected a new name")
@@ -50,21 +46,9 @@ def back_up(url: URL, out: Path) -> dict[str, int]:
 def restore(url: URL, backup: Path, *, force: bool) -> dict[str, int]:
     """Put a backup in the place of a store on which no service works; return its rows by table.
 
-    Sessions of browsers end; a key that was revoked after the backup is valid again.
-
-    Parameters
-    ----------
-    url : sqlalchemy.engine.URL
-        Of the store.
-    backup : pathlib.Path
-        From `back_up`.
-    force : bool
-        Also over a store that holds something. An SQLite file is kept under another name.
-
-    Raises
-    ------
-    StoreError
-        If the backup is not whole, or there is a store that holds something.
+    Sessions of browsers end; a key that was revoked after the backup is valid again. ``force`` also
+    replaces a store that holds something; an SQLite file is kept under another name. Raises
+    `StoreError` if the backup is not whole, or there is a store that holds something.
     """
     if not backup.is_file():
         raise StoreError(f"backup {backup}: there is no such file")
@@ -85,7 +69,9 @@ def _restore_sqlite(path: Path, backup: Path, *, force: bool) -> dict[str, int]:
     counts = copy_sqlite(backup, new)
     try:
         # An older backup is brought up to date before it takes its place.
-        open_database(f"sqlite:///{new}", path.parent, migrate=True).close()
+        database = open_database(f"sqlite:///{new}", path.parent, migrate=True)
+        with contextlib.closing(database), database.writing() as writer:
+            renew(writer, RESTORED)
         with contextlib.closing(sqlite3.connect(new, isolation_level=None)) as connection:
             connection.execute("PRAGMA journal_mode = DELETE")
             connection.execute("DELETE FROM browser_sessions")
@@ -187,6 +173,11 @@ def _load(url: URL, backup: Path, *, force: bool) -> dict[str, int]:
         with psycopg.connect(_address(url), autocommit=True) as connection:
             restored = _server_counts(connection)
             connection.execute("DELETE FROM browser_sessions")
+            if "store_identity" in restored:  # else the upgrade of an older one makes it
+                connection.execute(
+                    "UPDATE store_identity SET incarnation = %s, origin = %s",
+                    (secrets.token_hex(16), RESTORED),
+                )
     except psycopg.Error as error:
         raise StoreError(
             f"service.database_url = {_shown(url)}: {' '.join(str(error).split())}"
@@ -198,7 +189,7 @@ def _load(url: URL, backup: Path, *, force: bool) -> dict[str, int]:
 
 def _replace(url: URL, backup: Path) -> None:
     """Put a dump in the place of our tables, in one transaction."""
-    drop = "".join(f'DROP TABLE IF EXISTS "{name}" CASCADE;\n' for name in _TABLES)
+    drop = "".join(f'DROP TABLE IF EXISTS "{name}" CASCADE;\n' for name in _table_names())
     drop += "DROP FUNCTION IF EXISTS audit_only_grows() CASCADE;\n"
     environment = {**os.environ, **_environment(url)}
     quiet = "-c client_min_messages=error"
@@ -240,7 +231,7 @@ def _replace(url: URL, backup: Path) -> None:
 
 def _server_counts(connection: "psycopg.Connection[tuple[object, ...]]") -> dict[str, int]:
     counts = {}
-    for name in _TABLES:
+    for name in _table_names():
         (there,) = connection.execute("SELECT to_regclass(%s)", (name,)).fetchone() or (None,)
         if there is not None:
             row = connection.execute(f'SELECT COUNT(*) FROM "{name}"').fetchone()
@@ -250,6 +241,7 @@ def _server_counts(connection: "psycopg.Connection[tuple[object, ...]]") -> dict
 
 def _dumped_counts(dump: Path, url: URL) -> dict[str, int]:
     """Read a whole dump and count its rows by table; partitions count as their table."""
+    names = _table_names()
     counts: dict[str, int] = {}
     command = [_program("pg_restore"), "--file=-", str(dump)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
@@ -268,7 +260,7 @@ def _dumped_counts(dump: Path, url: URL) -> dict[str, int]:
                 counts.setdefault(table, 0)
             elif line.startswith(b"CREATE TABLE "):
                 name = line.split()[2].decode().rpartition(".")[2].strip('"')
-                if name in _TABLES:
+                if name in names:
                     counts.setdefault(name, 0)
         said = process.stderr.read().decode(errors="replace")
     if process.returncode or "alembic_version" not in counts:

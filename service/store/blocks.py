@@ -2,7 +2,7 @@
 
 A block is a MessagePack map of compressed columns: one of times, a value and a quality for each
 channel, and received times, once for all channels that agree in them. The columns are pcodec's: it
-finds even steps of time and decimal steps of values by itself.
+finds even steps of time and decimal steps of values.
 """
 
 import zlib
@@ -14,22 +14,23 @@ import numpy as np
 from numpy.typing import NDArray
 from pcodec import ChunkConfig, standalone
 
+from service.domain.errors import BearingTwinError
 from service.store.errors import StoreError
 
 #: The one way of compression so far; each block says which is its own.
 CODEC = 1
 
-#: Stands for a received time that nobody knows.
+#: Stands for an unknown received time.
 UNKNOWN_US = -(2**63)
 
 _CONFIG = ChunkConfig()
 
 
-class BlockDamagedError(Exception):
+class BlockDamagedError(BearingTwinError):
     """A block is not what was written."""
 
 
-class Samples(NamedTuple):
+class ChannelSamples(NamedTuple):
     """Samples of one channel, ascending by time, each time once.
 
     ``values`` are not a number where there is none, ``received_us`` are `UNKNOWN_US` where an
@@ -41,15 +42,15 @@ class Samples(NamedTuple):
     qualities: NDArray[np.uint16]
     received_us: NDArray[np.int64]
 
-    def within(self, begin_us: int, end_us: int) -> "Samples":
+    def within(self, begin_us: int, end_us: int) -> "ChannelSamples":
         """Give those of a half-open span."""
         first, last = np.searchsorted(self.times_us, (begin_us, end_us))
         return self.taken(slice(first, last))
 
-    def taken(self, which: slice) -> "Samples":
+    def taken(self, which: slice) -> "ChannelSamples":
         """Give those at some places."""
         times_us, values, qualities, received_us = self
-        return Samples(times_us[which], values[which], qualities[which], received_us[which])
+        return ChannelSamples(times_us[which], values[which], qualities[which], received_us[which])
 
 
 class _Received(msgspec.Struct, frozen=True):
@@ -85,14 +86,8 @@ class Block(NamedTuple):
     data: bytes
 
 
-def pack(channels: Sequence[Samples]) -> Block:
-    """Compress channels that have the same times.
-
-    Raises
-    ------
-    ValueError
-        If their times differ.
-    """
+def pack(channels: Sequence[ChannelSamples]) -> Block:
+    """Compress channels that have the same times. Raises `ValueError` if their times differ."""
     times_us = channels[0].times_us
     if any(not np.array_equal(one.times_us, times_us) for one in channels[1:]):
         raise ValueError("channels of one block: expected the same times")
@@ -120,19 +115,14 @@ def pack(channels: Sequence[Samples]) -> Block:
 
 
 def is_damaged(block: Block) -> bool:
-    """Tell whether the bytes of a block are not those that were written."""
+    """Whether the bytes of a block are not those that were written."""
     return zlib.crc32(block.data) != block.crc
 
 
-def unpack(block: Block, position: int) -> Samples:
+def unpack(block: Block, position: int) -> ChannelSamples:
     """Give the samples of one channel of a block, by its number in it.
 
-    Raises
-    ------
-    BlockDamagedError
-        If the block is damaged.
-    StoreError
-        If a later version made it.
+    Raises `BlockDamagedError` if the block is damaged; `StoreError` if a later version made it.
     """
     if block.codec != CODEC:
         raise StoreError(
@@ -144,7 +134,7 @@ def unpack(block: Block, position: int) -> Samples:
     if position >= len(columns.values):
         raise BlockDamagedError(f"it has {len(columns.values)} channels")
     times_us = np.asarray(standalone.simple_decompress(columns.times), np.int64)
-    return Samples(
+    return ChannelSamples(
         times_us,
         np.asarray(standalone.simple_decompress(columns.values[position]), np.float64),
         np.asarray(standalone.simple_decompress(columns.qualities[position]), np.uint16),

@@ -1,5 +1,6 @@
 """The history of one channel as a historian reads it: samples, values at times, intervals."""
 
+import math
 from collections.abc import Iterator, Sequence
 from typing import Final
 
@@ -9,9 +10,9 @@ from sqlalchemy import ColumnElement, Connection, Select, select
 
 from service.clock import HOUR_US, MINUTE_US
 from service.store import buckets, packed
-from service.store.blocks import UNKNOWN_US, Samples
+from service.store.blocks import UNKNOWN_US, ChannelSamples
 from service.store.buckets import Bucket
-from service.store.history import chunk
+from service.store.history import chunk, seconds
 from service.store.part import StorePart
 from service.store.samples import channel_ids, raw_horizon_us
 from service.store.tables import SampleRow
@@ -24,17 +25,12 @@ _UNITS_US: Final = (HOUR_US, MINUTE_US)
 class ChannelHistory(StorePart):
     """Reads one channel of one asset at a time; a channel that was never stored has nothing."""
 
-    def samples(self, asset: str, channel: str, begin_us: int, end_us: int, limit: int) -> Samples:
+    def samples(
+        self, asset: str, channel: str, begin_us: int, end_us: int, limit: int
+    ) -> ChannelSamples:
         """Give the first raw samples of a span, ascending by time, whatever their quality.
 
-        Parameters
-        ----------
-        asset, channel : str
-            What to read.
-        begin_us, end_us : int
-            UTC microseconds; the begin is included, the end is not.
-        limit : int
-            Samples at most.
+        ``begin_us``, ``end_us``: UTC microseconds; the begin is included, the end is not.
         """
         with self._database.reading() as connection:
             number = _number(connection, asset, channel)
@@ -50,11 +46,39 @@ class ChannelHistory(StorePart):
                     break
         return _joined(found).taken(slice(0, limit))
 
+    def differing(
+        self, asset: str, channel: str, times_us: NDArray[np.int64], values: NDArray[np.float64]
+    ) -> dict[int, float]:
+        """Find the samples for which the store has another value at exactly their time.
+
+        Returns the stored value by place in the arrays.
+        """
+        found: dict[int, float] = {}
+        order = np.argsort(times_us, kind="stable")
+        ordered_us = times_us[order]
+        hours = np.unique(ordered_us // HOUR_US)
+        with self._database.reading() as connection:
+            number = _number(connection, asset, channel)
+            if number is None:
+                return found
+            for run in np.split(hours, np.flatnonzero(np.diff(hours) > 1) + 1):
+                begin_us, end_us = int(run[0]) * HOUR_US, int(run[-1] + 1) * HOUR_US
+                first, last = np.searchsorted(ordered_us, (begin_us, end_us))
+                stored = _raw(connection, number, begin_us, end_us)
+                places = np.searchsorted(stored.times_us, ordered_us[first:last])
+                for at, place in zip(order[first:last].tolist(), places.tolist(), strict=True):
+                    if place == stored.times_us.size or stored.times_us[place] != times_us[at]:
+                        continue
+                    value = float(stored.values[place])
+                    if not math.isnan(value) and value != values[at]:
+                        found[at] = value
+        return found
+
     def last_samples(
         self, asset: str, channel: str, begin_us: int, end_us: int, limit: int
-    ) -> Samples:
+    ) -> ChannelSamples:
         """Give the last raw samples of a span, ascending by time; parameters as of `samples`."""
-        found: list[Samples] = []
+        found: list[ChannelSamples] = []
         count = 0
         with self._database.reading() as connection:
             number = _number(connection, asset, channel)
@@ -70,18 +94,14 @@ class ChannelHistory(StorePart):
         every = _joined(found)
         return every.taken(slice(max(every.times_us.size - limit, 0), None))
 
-    def at_times(self, asset: str, channel: str, times_us: Sequence[int]) -> Samples:
+    def at_times(self, asset: str, channel: str, times_us: Sequence[int]) -> ChannelSamples:
         """Give the value that a channel has at each of some times: the last one up to then.
 
-        Returns
-        -------
-        Samples
-            One for each time, with the time of the sample that was found; time -1 and quality 0
-            where there is none within `HELD_US` before.
+        Where there is none within `HELD_US` before, time is -1 and quality 0.
         """
         wanted = np.asarray(times_us, dtype=np.int64)
         order = np.argsort(wanted, kind="stable")
-        found = Samples(
+        found = ChannelSamples(
             np.full(wanted.size, -1, np.int64),
             np.full(wanted.size, np.nan),
             np.zeros(wanted.size, np.uint16),
@@ -110,25 +130,12 @@ class ChannelHistory(StorePart):
     ) -> list[Bucket]:
         """Give the statistics of the good samples per interval.
 
-        Whole hours and minutes inside an interval come from the rollups, so that a long one
-        costs little; what is left at its ends from the raw samples, or where these are not kept
-        any more from statistics per second.
+        Whole hours and minutes inside an interval come from the rollups, so that a long one costs
+        little; what is left at its ends from the raw samples, or where these are not kept any more
+        from statistics per second. They ascend by time; intervals without any sample are absent.
 
-        Parameters
-        ----------
-        asset, channel : str
-            What to read.
-        begin_us : int
-            Begin of the first interval, UTC microseconds, of any second or part of one.
-        interval_us : int
-            Length of an interval, positive.
-        count : int
-            How many intervals.
-
-        Returns
-        -------
-        list of Bucket
-            Ascending by time; intervals without any sample are absent.
+        - ``begin_us``: begin of the first interval, UTC microseconds, of any second or part of one.
+        - ``interval_us``: length of an interval, positive.
         """
         end_us = begin_us + count * interval_us
         with self._database.reading() as connection:
@@ -160,7 +167,7 @@ def _number(connection: Connection, asset: str, channel: str) -> int | None:
 
 def _table_rows(
     connection: Connection, number: int, begin_us: int, end_us: int, limit: int | None
-) -> Samples:
+) -> ChannelSamples:
     query: Select[int, float | None, int] = (
         select(SampleRow.time_us, SampleRow.value, SampleRow.quality)
         .where(*_inside(number, begin_us, end_us))
@@ -169,7 +176,7 @@ def _table_rows(
     )
     rows = connection.execute(query).all()
     times_us, values, qualities = zip(*rows, strict=True) if rows else ((), (), ())
-    return Samples(
+    return ChannelSamples(
         np.array(times_us, np.int64),
         np.array(values, np.float64),  # None is not a number
         np.array(qualities, np.uint16),
@@ -185,16 +192,16 @@ def _inside(number: int, begin_us: int, end_us: int) -> tuple[ColumnElement[bool
     )
 
 
-def _raw(connection: Connection, number: int, begin_us: int, end_us: int) -> Samples:
+def _raw(connection: Connection, number: int, begin_us: int, end_us: int) -> ChannelSamples:
     parts = [_table_rows(connection, number, begin_us, end_us, None)]
     return _joined([*parts, *packed.read(connection, number, begin_us, end_us)])
 
 
-def _joined(parts: Sequence[Samples]) -> Samples:
+def _joined(parts: Sequence[ChannelSamples]) -> ChannelSamples:
     """Join parts that have no time in common; ascending by time."""
     if not parts:
         nothing = np.empty(0, np.int64)
-        return Samples(nothing, np.empty(0), np.empty(0, np.uint16), nothing)
+        return ChannelSamples(nothing, np.empty(0), np.empty(0, np.uint16), nothing)
     times_us, values, qualities, received_us = (
         np.concatenate([part.times_us for part in parts]),
         np.concatenate([part.values for part in parts]),
@@ -202,7 +209,7 @@ def _joined(parts: Sequence[Samples]) -> Samples:
         np.concatenate([part.received_us for part in parts]),
     )
     order = np.argsort(times_us, kind="stable")
-    return Samples(times_us[order], values[order], qualities[order], received_us[order])
+    return ChannelSamples(times_us[order], values[order], qualities[order], received_us[order])
 
 
 def _last_us(connection: Connection, number: int, end_us: int) -> int | None:
@@ -260,8 +267,5 @@ def _fine(
     raw = _raw(connection, number, max(begin_us, horizon_us), end_us)
     parts = [one for one, _ in buckets.of_block(raw, interval_us, begin_us)]
     if begin_us < horizon_us:
-        until_us = min(end_us, horizon_us)
-        parts += buckets.read(
-            connection, buckets.of_rollups(number, 1, begin_us, until_us, 1_000_000)
-        )
+        parts += seconds(connection, number, begin_us, min(end_us, horizon_us), 1_000_000)
     return parts

@@ -12,13 +12,9 @@ from service.store.errors import StoreError
 def copy_sqlite(source: Path, target: Path) -> dict[str, int]:
     """Copy a store, also while it is written, and check the copy; return its rows by table.
 
-    The copy is that of one moment. It takes its place when it is complete, whole, and has as
-    many rows in each table as the source at that moment.
-
-    Raises
-    ------
-    StoreError
-        If the source is damaged, or the copy cannot be made or is not whole.
+    The copy is that of one moment. It takes its place when it is complete, whole, and has as many
+    rows in each table as the source at that moment. Raises `StoreError` if the source is damaged,
+    or the copy cannot be made or is not whole.
     """
     part = target.with_name(f"{target.name}.part")
     part.unlink(missing_ok=True)

@@ -1,11 +1,11 @@
-"""One service per database, whatever its data directory."""
+"""One service per PostgreSQL database, whatever its data directory."""
 
+import contextlib
 import os
 import socket
 import threading
 import uuid
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import psycopg
@@ -15,8 +15,6 @@ from sqlalchemy.engine import URL
 from service.store.addresses import shown
 from service.store.closable import Closable
 from service.store.errors import DatabaseInUseError
-from service.store.locking import DataDirectoryLock, lock_sqlite_file
-from service.store.opening import database_address
 from service.store.postgresql_connection import (
     CONNECT_ARGS,
     PatientConnection,
@@ -49,27 +47,13 @@ _log = structlog.get_logger(__name__)
 class DatabaseLock(Closable):
     """The right to run a service on a PostgreSQL database, until closed or the process ends.
 
-    A connection of its own holds it. When the server was restarted the lock is taken again.
+    A connection of its own holds it. When the server was restarted the lock is taken again. Raises
+    `DatabaseInUseError` if another service has it. Raises `StoreError` if there is no connection; a
+    `StoreUnavailableError` if that is temporary.
 
-    Parameters
-    ----------
-    url : sqlalchemy.engine.URL
-        Of the database.
-    on_lost : callable
-        Called, from another thread, if another service took the database while the server was
-        away.
-
-    Attributes
-    ----------
-    lost : str
-        Why the right is lost, one line; empty while it is held.
-
-    Raises
-    ------
-    DatabaseInUseError
-        If another service has it.
-    StoreError
-        If there is no connection; a `StoreUnavailableError` if that may pass by itself.
+    - ``on_lost``: called, from another thread, if another service took the database while the
+      server was away.
+    - ``lost``: why the right is lost, one line; empty while it is held.
     """
 
     def __init__(self, url: URL, on_lost: Callable[[], object]) -> None:
@@ -88,7 +72,7 @@ class DatabaseLock(Closable):
         self._thread = threading.Thread(target=self._keep, name="database-lock", daemon=True)
         self._thread.start()
 
-    def _connect(self) -> psycopg.Connection[Any]:
+    def _connect(self) -> PatientConnection:
         """Connect and take the lock."""
         connection = PatientConnection.connect(
             self._url.set(drivername="postgresql").render_as_string(hide_password=False),
@@ -136,22 +120,17 @@ class DatabaseLock(Closable):
                 _log.info("database_locked_again")
 
     def close(self) -> None:
-        """Give the database free."""
+        """Release the database: another service may take it at once."""
         self._ended.set()
         self._thread.join(_END_S)
-        if not self._thread.is_alive():  # else the end of the process does it
-            self._connection.close()
+        if self._thread.is_alive():
+            return  # the end of the process releases it
+        # The server may take a while to see that the connection is closed.
+        self._connection.answer_s = _END_S
+        with contextlib.suppress(psycopg.Error):
+            self._connection.execute("SELECT pg_advisory_unlock_all()")
+        self._connection.close()
 
 
 def _first(cursor: psycopg.Cursor[Any]) -> Any:
     return cursor.fetchone()
-
-
-def lock_database(
-    database_url: str, data_dir: Path, on_lost: Callable[[], object]
-) -> DatabaseLock | DataDirectoryLock:
-    """Take a database for one service: see `DatabaseLock`, and `lock_sqlite_file`."""
-    url = database_address(database_url, data_dir)
-    if url.get_backend_name() == "postgresql":
-        return DatabaseLock(url, on_lost)
-    return lock_sqlite_file(Path(url.database or ""))

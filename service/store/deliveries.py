@@ -21,7 +21,7 @@ class Delivery:
 
 
 def is_first(connection: Connection, delivery: Delivery) -> bool:
-    """Take note of a delivery; False when it was made before."""
+    """Record a delivery; False when it was made before."""
     row = DeliveryRow
     this_sender = row.sender == delivery.sender
     latest = connection.scalar(select(row.number).where(this_sender))

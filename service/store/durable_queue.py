@@ -17,19 +17,10 @@ MakeRoom = Callable[[sqlite3.Connection, int], int]
 class DurableQueue(Closable):
     """Rows that wait in a file of their own; for the spool and the outbox alike.
 
-    What was appended is on the disk when `append` returns, and stays there until `remove`. Safe
-    to call from any thread. Every method raises `QueueUnavailableError` when the file cannot be
-    read or written now; then nothing has changed.
-
-    Parameters
-    ----------
-    file : QueueFile
-        Open; closed with the queue.
-
-    Attributes
-    ----------
-    lost : int
-        Rows that damage of the file has cost in this run.
+    What was appended is on the disk when `append` returns, and stays there until `remove`. Safe to
+    call from any thread. Every method raises `QueueUnavailableError` when the file cannot be read
+    or written now; then nothing has changed. ``file`` is closed with the queue. `lost` counts rows
+    that damage of the file has cost in this run.
     """
 
     def __init__(self, file: QueueFile) -> None:
@@ -47,6 +38,7 @@ class DurableQueue(Closable):
             f"ORDER BY {layout.key} LIMIT ?"
         )
         self._delete = f"DELETE FROM {self._table} WHERE {layout.key} <= ?"
+        self._delete_one = f"DELETE FROM {self._table} WHERE {layout.key} = ?"
         with file.reading() as connection:
             counted = connection.execute(f"SELECT COUNT(*) FROM {self._table}").fetchone()
         self._count = int(counted[0])
@@ -89,6 +81,21 @@ class DurableQueue(Closable):
             (number, row if checksum is None or checksum == self._checksum(row) else None)
             for number, *row, checksum in found
         ]
+
+    def one(self, number: int) -> Row | None:
+        """Read the row of a number; None if it is damaged or not there."""
+        found = self.first(1, number - 1)
+        return found[0][1] if found and found[0][0] == number else None
+
+    def discard(self, numbers: Sequence[int]) -> None:
+        """Forget the rows of some numbers."""
+        with self.file.reading():
+            with self.file.writing() as connection:
+                removed = 0
+                for number in numbers:
+                    removed += connection.execute(self._delete_one, (number,)).rowcount
+                note_count(connection, self._count - removed)
+            self._count -= removed
 
     def remove(self, last: int) -> None:
         """Forget the rows up to a number."""

@@ -3,7 +3,12 @@
 import errno
 import sqlite3
 
-from service.domain.errors import CellUnavailableError, ServiceError, TemporaryError
+from service.domain.errors import (
+    BearingTwinError,
+    CellUnavailableError,
+    ServiceError,
+    TemporaryError,
+)
 
 #: The state of a disk or of the machine; what is wrong with a path or with rights does not pass.
 _PASSING_ERRNOS = frozenset(
@@ -56,6 +61,10 @@ class NotOwnerError(StoreError, CellUnavailableError):
     """Another cell owns the asset: what this one knows of it must not be written any more."""
 
 
+class StoreDoubtedError(StoreUnavailableError):
+    """The store is another one, or lacks what it confirmed: what is to be stored waits."""
+
+
 class StoreDamagedError(StoreUnavailableError):
     """The store's file is damaged; the text is one line that says what to do.
 
@@ -65,14 +74,8 @@ class StoreDamagedError(StoreUnavailableError):
     passes = False
 
 
-class ActiveJobError(Exception):
-    """An identification job of this asset is already queued or running.
-
-    Parameters
-    ----------
-    job_id : str
-        The job that is in the way.
-    """
+class ActiveJobError(BearingTwinError):
+    """An identification job of this asset is already queued or running."""
 
     def __init__(self, job_id: str) -> None:
         super().__init__(f"job {job_id} is already queued or running for this asset")
@@ -80,7 +83,7 @@ class ActiveJobError(Exception):
 
 
 def passes(cause: BaseException | None) -> bool:
-    """Tell whether an error of the operating system or of SQLite can pass by itself."""
+    """Whether an error of the operating system or of SQLite is temporary."""
     if isinstance(cause, OSError):
         return cause.errno in _PASSING_ERRNOS
     # The low byte is the kind of error, the others say more about it.

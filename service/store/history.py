@@ -1,12 +1,13 @@
 """Statistics of the samples per bucket of time: rollups for people, minutes for the twin."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 
 import numpy as np
 from sqlalchemy import Connection, func, select
 
 from service.clock import HOUR_US, MINUTE_US
-from service.store import buckets, packed
+from service.store import buckets, packed, rollup_blocks
 from service.store.buckets import LEVELS_S, Bucket
 from service.store.merging import merged
 from service.store.part import StorePart, rows_of
@@ -15,6 +16,8 @@ from service.store.samples import channel_ids, first_time_us, raw_horizon_us
 from service.store.tables import ChannelRow, RollupRow, SampleRow, StaleRollupRow
 
 _SECOND_US = 1_000_000
+#: `Rollup._make` would be a step of the program for each.
+_rollup = partial(tuple.__new__, Rollup)
 
 
 class History(StorePart):
@@ -35,20 +38,9 @@ class History(StorePart):
         Buckets are whole: a bucket belongs to the answer when its start lies in the span, and
         then all its samples count. Buckets without any sample are absent.
 
-        Parameters
-        ----------
-        asset : str
-            Asset to read.
-        channels : sequence of str or None
-            Which channels; None for all.
-        start_us, end_us : int
-            UTC microseconds; the start is included, the end is not.
-        bucket_us : int
-            Length of a bucket; buckets are counted from the epoch.
-        limit : int
-            Rollups at most.
-        after : tuple of int and str, optional
-            Time and channel of the last rollup of the page before: go on behind it.
+        - ``start_us``, ``end_us``: UTC microseconds; the start is included, the end is not.
+        - ``bucket_us``: length of a bucket; buckets are counted from the epoch.
+        - ``after``: time and channel of the last rollup of the page before: go on behind it.
         """
         if bucket_us <= 0:
             raise ValueError(f"bucket_us = {bucket_us}: expected a positive number")
@@ -56,10 +48,11 @@ class History(StorePart):
         end_us = -(-end_us // bucket_us) * bucket_us
         with self._database.reading() as connection:
             ids = channel_ids(connection, asset, channels)
+            horizon_us = raw_horizon_us(connection)
 
             def read(name: str, from_us: int, count: int) -> list[Rollup]:
-                rows = _read(connection, ids[name], from_us, end_us, bucket_us, count)
-                return [Rollup(name, *row) for row in rows]
+                rows = _read(connection, ids[name], from_us, end_us, bucket_us, horizon_us, count)
+                return [_rollup((name, *row)) for row in rows]
 
             def begin_us(name: str) -> int:
                 if after is None:
@@ -79,19 +72,10 @@ class History(StorePart):
     ) -> MinuteTable:
         """Averages per minute of the good samples, on one time axis for all channels.
 
-        Parameters
-        ----------
-        asset : str
-            Asset to read.
-        channels : sequence of str
-            Which channels; one that was never stored is all NaN.
-        start_us, end_us : int
-            UTC microseconds; samples in the half-open span count.
-        offset_us : int
-            Minutes begin so much after the full minute; minus half a minute centres the averages
-            on the full minutes, as an instantaneous value there.
-        step_us : int
-            Another length than a minute's.
+        - ``channels``: which channels; one that was never stored is all NaN.
+        - ``start_us``, ``end_us``: UTC microseconds; samples in the half-open span count.
+        - ``offset_us``: minutes begin so much after the full minute; minus half a minute centres
+          the averages on the full minutes, as an instantaneous value there.
         """
         per_channel: dict[str, list[tuple[int, float | None, int, int]]] = {}
         with self._database.reading() as connection:
@@ -140,19 +124,10 @@ class History(StorePart):
     ) -> dict[tuple[str, str], dict[int, float]]:
         """Means of the good samples per minute, of many assets at once.
 
-        Only for the last hour: what is packed is left out.
+        Only for the last hour: what is packed is left out. Minutes without any sample are absent.
 
-        Parameters
-        ----------
-        channels
-            Which channels of which asset.
-        start_us, end_us : int
-            UTC microseconds, of full minutes; the start is included, the end is not.
-
-        Returns
-        -------
-        dict
-            Mean by start of the minute, by asset and channel; minutes without any are absent.
+        - ``start_us``, ``end_us``: UTC microseconds, of full minutes; the start is included, the
+          end is not.
         """
         found: dict[tuple[str, str], dict[int, float]] = {
             (asset, name): {} for asset, names in channels.items() for name in names
@@ -192,10 +167,17 @@ def _joined(
 
 
 def _read(
-    connection: Connection, channel_id: int, begin_us: int, end_us: int, bucket_us: int, limit: int
+    connection: Connection,
+    channel_id: int,
+    begin_us: int,
+    end_us: int,
+    bucket_us: int,
+    horizon_us: int,
+    limit: int,
 ) -> list[Bucket]:
     """Read the first ``limit`` buckets of a channel; gaps are jumped over, not walked through."""
-    horizon_us = raw_horizon_us(connection)
+    if end_us - begin_us <= limit * bucket_us:
+        return chunk(connection, channel_id, begin_us, end_us, bucket_us, horizon_us)
     found: list[Bucket] = []
     while len(found) < limit:
         first_us = _first_us(connection, channel_id, begin_us, horizon_us)
@@ -221,33 +203,76 @@ def chunk(
     def raw(from_us: int, to_us: int) -> list[Bucket]:
         return buckets.of_raw(connection, channel_id, from_us, to_us, bucket_us)
 
-    def condensed(resolution_s: int, from_us: int, to_us: int) -> list[Bucket]:
+    def rows(resolution_s: int, from_us: int, to_us: int) -> list[Bucket]:
         query = buckets.of_rollups(channel_id, resolution_s, from_us, to_us, bucket_us)
         return buckets.read(connection, query)
 
     if bucket_us % MINUTE_US:
         parts = raw(max(begin_us, horizon_us), end_us)
         if begin_us < horizon_us and bucket_us % _SECOND_US == 0:
-            parts += condensed(1, begin_us, min(end_us, horizon_us))
+            parts += seconds(connection, channel_id, begin_us, min(end_us, horizon_us), bucket_us)
         return buckets.merged(parts)
     resolution_s = next(one for one in LEVELS_S if bucket_us % (one * _SECOND_US) == 0)
-    stale = connection.scalars(
-        select(StaleRollupRow.hour_us)
-        .where(
-            StaleRollupRow.channel_id == channel_id,
-            StaleRollupRow.hour_us > begin_us - HOUR_US,
-            StaleRollupRow.hour_us < end_us,
+    stale = list(
+        connection.scalars(
+            select(StaleRollupRow.hour_us)
+            .where(
+                StaleRollupRow.channel_id == channel_id,
+                StaleRollupRow.hour_us > begin_us - HOUR_US,
+                StaleRollupRow.hour_us < end_us,
+            )
+            .order_by(StaleRollupRow.hour_us)
         )
-        .order_by(StaleRollupRow.hour_us)
     )
     parts = []
+    if resolution_s < HOUR_US // _SECOND_US:
+        parts, lost_us = _packed_minutes(connection, channel_id, begin_us, end_us, bucket_us, stale)
+        stale = sorted({*stale, *lost_us})
     at_us = begin_us
-    for from_us, to_us in _runs(stale.all()):
-        parts += condensed(resolution_s, at_us, max(from_us, at_us))
+    for from_us, to_us in _runs(stale):
+        parts += rows(resolution_s, at_us, max(from_us, at_us))
         parts += raw(max(from_us, at_us), min(to_us, end_us))
         at_us = min(to_us, end_us)
-    parts += condensed(resolution_s, at_us, end_us)
+    parts += rows(resolution_s, at_us, end_us)
     return buckets.merged(parts)
+
+
+def seconds(
+    connection: Connection, channel_id: int, begin_us: int, end_us: int, bucket_us: int
+) -> list[Bucket]:
+    """Buckets of a span from the statistics per second, where raw samples are not kept."""
+    query = buckets.of_rollups(channel_id, 1, begin_us, end_us, bucket_us)
+    parts = buckets.read(connection, query)
+    for _, found in rollup_blocks.read(connection, channel_id, 1, begin_us, end_us):
+        if found is not None:
+            parts += buckets.listed(buckets.joined(found, bucket_us))
+    return parts
+
+
+def _packed_minutes(
+    connection: Connection,
+    channel_id: int,
+    begin_us: int,
+    end_us: int,
+    bucket_us: int,
+    stale_us: Sequence[int],
+) -> tuple[list[Bucket], list[int]]:
+    """Buckets of a span from blocks of minutes but for those of stale hours.
+
+    Returns also the hours of damaged blocks: there may still be samples of them.
+    """
+    parts: list[Bucket] = []
+    lost_us: list[int] = []
+    for block_us, minutes in rollup_blocks.read(connection, channel_id, 60, begin_us, end_us):
+        if minutes is None:
+            lost = range(block_us, block_us + rollup_blocks.SPANS_US[60], HOUR_US)
+            lost_us += [one for one in lost if begin_us - HOUR_US < one < end_us]
+            continue
+        if stale_us:
+            hours_us = minutes.times_us - minutes.times_us % HOUR_US
+            minutes = minutes.taken(~np.isin(hours_us, stale_us))
+        parts += buckets.listed(buckets.joined(minutes, bucket_us))
+    return parts, lost_us
 
 
 def _runs(hours_us: Sequence[int]) -> list[tuple[int, int]]:

@@ -30,32 +30,14 @@ class Jobs(StorePart):
     ) -> tuple[Job, bool]:
         """Queue a job.
 
-        Parameters
-        ----------
-        asset : str
-            Asset to identify.
-        request : dict
-            What was asked for; plain JSON values.
-        created_at_us : int
-            Process time, UTC microseconds.
-        idempotency_key : str, optional
-            A second call for the asset with the same key gives the first job back.
-        line : AuditEntry, optional
-            Line of the audit trail, written with a new job; its target then names the job.
+        Returns the job, new or the one that the key already stands for, and whether it is new. The
+        line of the audit trail is written with a new job; its target then names the job. Raises
+        `ActiveJobError` if another job of the asset is queued or running; `NotOwnerError` if
+        another cell owns the asset.
 
-        Returns
-        -------
-        job : Job
-            The new job, or the one that the key already stands for.
-        created : bool
-            False when it was there before.
-
-        Raises
-        ------
-        ActiveJobError
-            If another job of the asset is queued or running.
-        NotOwnerError
-            If another cell owns the asset.
+        - ``request``: what was asked for; plain JSON values.
+        - ``idempotency_key``: a second call for the asset with the same key gives the first job
+          back.
         """
         job = Job(
             id=uuid4().hex,
@@ -104,25 +86,13 @@ class Jobs(StorePart):
     ) -> Job | None:
         """Change a job, provided that its status is still one of those expected.
 
-        The comparison and the change are one: of two that want to end a job only one does. To
-        take up a job again after a restart: ``update_job(id, only_if=["running"],
-        status="queued")``.
+        The comparison and the change are one: of two that want to end a job only one does. To take
+        up a job again after a restart: ``update_job(id, only_if=["running"], status="queued")``.
+        Returns the changed job; None when there is no such job or its status is another.
 
-        Parameters
-        ----------
-        job_id : str
-            Which job.
-        only_if : collection of str
-            Statuses in which the change may happen; by default the job must not have ended.
-        line : AuditEntry, optional
-            Line of the audit trail, written with the change.
-        **changes
-            The fields to change, see `JobChanges`.
-
-        Returns
-        -------
-        Job or None
-            The changed job; None when there is no such job or its status is another.
+        - ``only_if``: statuses in which the change may happen; by default the job must not have
+          ended.
+        - ``changes``: the fields to change, see `JobChanges`.
         """
         with self._database.writing() as connection:
             row = connection.execute(

@@ -17,24 +17,9 @@ _held: set[Path] = set()
 class DataDirectoryLock(Closable):
     """The right to run a service on a data directory or a file, until closed or the process ends.
 
-    The operating system drops the lock when the process ends, however it ends.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        The file that is locked, made when it does not exist.
-
-    Attributes
-    ----------
-    lost : str
-        Always empty: a file cannot be taken over.
-
-    Raises
-    ------
-    BlockingIOError
-        If another program has it; the text names its process.
-    OSError
-        If the file cannot be made or written.
+    The operating system drops the lock when the process ends, however it ends. Raises
+    `BlockingIOError` if another program has it; the text names its process. Raises `OSError` if the
+    file cannot be made or written.
     """
 
     def __init__(self, path: Path) -> None:
@@ -64,17 +49,8 @@ class DataDirectoryLock(Closable):
 def lock_data_directory(data_dir: Path) -> DataDirectoryLock:
     """Take a data directory for one service; tools that only open the store need no lock.
 
-    Parameters
-    ----------
-    data_dir : pathlib.Path
-        Made when it does not exist.
-
-    Raises
-    ------
-    DataDirectoryInUseError
-        If another service has it.
-    StoreError
-        If the directory cannot be made or written.
+    Raises `DataDirectoryInUseError` if another service has it; `StoreError` if the directory cannot
+    be made or written.
     """
     try:
         make_private_folder(data_dir)
@@ -93,12 +69,8 @@ def lock_data_directory(data_dir: Path) -> DataDirectoryLock:
 def lock_sqlite_file(path: Path) -> DataDirectoryLock:
     """Take an SQLite file for one service, whatever its data directory.
 
-    Raises
-    ------
-    DatabaseInUseError
-        If another service has it.
-    StoreError
-        If the lock next to it cannot be made or written.
+    Raises `DatabaseInUseError` if another service has it; `StoreError` if the lock next to it
+    cannot be made or written.
     """
     lock = _lock_of(path)
     try:
@@ -115,7 +87,7 @@ def lock_sqlite_file(path: Path) -> DataDirectoryLock:
 
 
 def who_uses(path: Path) -> str | None:
-    """Tell which other service works on an SQLite file, as " (process N)"; None if none does."""
+    """Which other service works on an SQLite file, as " (process N)"; None if none does."""
     for lock in (_lock_of(path), path.parent / LOCK_FILE):
         if not lock.exists() or lock.resolve() in _held:
             continue

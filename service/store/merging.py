@@ -2,7 +2,8 @@
 
 import heapq
 from collections.abc import Callable, Iterator, Mapping
-from itertools import islice
+from itertools import chain, islice
+from operator import attrgetter
 from typing import Protocol, TypeVar
 
 
@@ -36,35 +37,31 @@ def merged(
     Every channel is read in batches, the next one when the last is used up: memory holds about
     twice the limit, however many channels there are.
 
-    Parameters
-    ----------
-    channels : mapping of str to int
-        Which channels; only the names count.
-    read : callable
-        Gives rows of a channel in order: its name, from which time on, how many at most.
-    next_us : callable
-        From which time on to read behind a row.
-    first_us : callable
-        From which time on to read a channel.
-    limit : int
-        Rows at most.
+    - ``channels``: which channels; only the names count.
+    - ``read``: gives rows of a channel in order: its name, from which time on, how many at most.
+    - ``next_us``: from which time on to read behind a row.
+    - ``first_us``: from which time on to read a channel.
     """
     if not channels:
         return []
-    batch = limit // len(channels) + LEAST_BATCH
+    size = min(limit // len(channels) + LEAST_BATCH, limit)
 
     def walk(name: str) -> Iterator[Row]:
-        begin_us = first_us(name)
+        rows = first.pop(name)
         while True:
-            rows = read(name, begin_us, min(batch, limit))
             yield from rows
-            if len(rows) < min(batch, limit):
+            if len(rows) < size:
                 return
-            begin_us = next_us(rows[-1])
+            rows = read(name, next_us(rows[-1]), size)
 
+    first = {name: read(name, first_us(name), size) for name in channels}
+    if all(len(rows) < size for rows in first.values()):  # and that is all
+        # By the name first, then by the time alone, which leaves the names in their order.
+        by_name = chain.from_iterable(first[name] for name in sorted(first))
+        return sorted(by_name, key=_time)[:limit]
     walks = [walk(name) for name in channels]
     return list(islice(heapq.merge(*walks, key=_order), limit))
 
 
-def _order(row: Timed) -> tuple[int, str]:
-    return row.time_us, row.channel
+_order = attrgetter("time_us", "channel")
+_time = attrgetter("time_us")

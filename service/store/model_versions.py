@@ -40,25 +40,9 @@ class ModelVersions(StorePart):
     ) -> int:
         """Store a new model and return its version, counted from 1 per asset.
 
-        Parameters
-        ----------
-        asset : str
-            Asset the model belongs to.
-        status : str
-            "candidate" or "rejected"; a model becomes active through `activate` alone.
-        reason : str
-            Why it has this status, for people.
-        document : dict
-            Posterior, parameters, windows, scores and so on; plain JSON values.
-        created_at_us : int
-            Process time, UTC microseconds.
-
-        Raises
-        ------
-        ValueError
-            If the status is "active" or "retired".
-        NotOwnerError
-            If another cell owns the asset.
+        ``status``: "candidate" or "rejected"; a model becomes active through `activate` alone.
+        Raises `ValueError` if the status is "active" or "retired"; `NotOwnerError` if another cell
+        owns the asset.
         """
         with self._database.writing() as connection:
             self._require(connection, asset)
@@ -79,12 +63,7 @@ class ModelVersions(StorePart):
     ) -> list[ModelVersion]:
         """Give so many of the newest models of an asset, oldest first, with parts of documents.
 
-        Parameters
-        ----------
-        asset, newest
-            Whose models, and how many at most.
-        paths
-            Keys from the outside in; what a document does not have there is left out.
+        ``paths``: keys from the outside in; what a document does not have there is left out.
         """
         columns = [
             ModelVersionRow.document[path].label(f"part_{k}") for k, path in enumerate(paths)
@@ -142,17 +121,7 @@ class ModelVersions(StorePart):
     def begin(
         self, models: Mapping[str, FirstModel], who: str, at_us: int
     ) -> dict[str, ModelVersion]:
-        """Store a model of each of these assets and make it the active one, all at once.
-
-        Parameters
-        ----------
-        models
-            By asset.
-        who
-            For the journal.
-        at_us
-            Process time, UTC microseconds.
-        """
+        """Store a model of each of these assets and make it the active one, all at once."""
         with self._database.writing() as connection:
             for asset in models if self._database.fence is not None else ():
                 self._require(connection, asset)
@@ -206,27 +175,10 @@ class ModelVersions(StorePart):
     ) -> ModelVersion:
         """Make a version the active one; the one before it is retired. Also rolls back.
 
-        Whether a rejected model may be activated is for the caller to decide. Activating the
-        active version again changes nothing and leaves no line in the journal.
-
-        Parameters
-        ----------
-        asset, version
-            Which model.
-        who, comment : str
-            For the journal.
-        at_us : int
-            Process time, UTC microseconds.
-        line : AuditEntry, optional
-            Line of the audit trail, written in the same transaction, also for a version that is
-            active already.
-
-        Raises
-        ------
-        KeyError
-            If there is no such version.
-        NotOwnerError
-            If another cell owns the asset.
+        Whether a rejected model may be activated is for the caller to decide. Activating the active
+        version again changes nothing and leaves no line in the journal. The line of the audit trail
+        is written in the same transaction, also for a version that is active already. Raises
+        `KeyError` if there is no such version; `NotOwnerError` if another cell owns the asset.
         """
         with self._database.writing() as connection:
             self._require(connection, asset)

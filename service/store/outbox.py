@@ -1,29 +1,34 @@
-"""Alarm changes, audit lines, forecasts, tellings on their way to the store: crash-safe, once."""
+"""Changes of alarms, audit trail, forecasts and features on their way to the store: safe, once."""
 
-import json
 import threading
 import zlib
 from collections import deque
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Sequence
+from functools import partial
 from itertools import islice
 from pathlib import Path
-from typing import Self
+from typing import Self, TypeVar
 from uuid import uuid4
 
-import msgspec
 import structlog
+from sqlalchemy import Connection
 
-from service.store.alarm_records import Alarm, AlarmTransition
+from service.store.alarm_records import Alarm
+from service.store.changes import (
+    AlarmChange,
+    Change,
+    FeatureChange,
+    change_of,
+    document_of,
+)
 from service.store.closable import Closable
 from service.store.deliveries import Delivery
 from service.store.durable_queue import DurableQueue
 from service.store.errors import StoreUnavailableError
-from service.store.forecast_records import IssuedForecast
 from service.store.queue_file import Mended, QueueFile, QueueLayout, QueueUnavailableError, Row
 from service.store.records import AuditEntry
+from service.store.refused_changes import NOT_OWNED, Refused, one_line
 from service.store.store import Store
-from service.store.tellings import Telling, TellingChange
 
 FILE_NAME = "outbox.db"
 
@@ -43,31 +48,12 @@ _RETRY_S = 0.5
 #: Wall seconds that `flush` gives the disk.
 _DISK_PATIENCE_S = 10.0
 _PORTION = 100
+#: Changes of one transaction: samples wait that long.
+_TOGETHER = 20
 
 _log = structlog.get_logger(__name__)
 
-
-@dataclass(frozen=True, slots=True)
-class AlarmChange:
-    """An alarm as it is now, and what happened to it; no alarm for lines that belong to none.
-
-    What somebody asked for carries its line of the audit trail: both are written, or none.
-    """
-
-    alarm: Alarm | None
-    lines: tuple[AlarmTransition, ...] = ()
-    audit: AuditEntry | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class ForecastBatch:
-    """Forecasts that are to be kept together, with the line of who asked for them, if anybody."""
-
-    forecasts: tuple[IssuedForecast, ...]
-    audit: AuditEntry | None = None
-
-
-Change = AlarmChange | AuditEntry | ForecastBatch | TellingChange
+ChangeT = TypeVar("ChangeT", bound=Change)
 
 
 class Outbox(Closable):
@@ -78,21 +64,10 @@ class Outbox(Closable):
     store remembers the number of the last change that it took, in the same transaction, and so
     takes none twice.
 
-    Parameters
-    ----------
-    queue : DurableQueue
-        Where changes wait.
-    store : Store
-        Where they go.
-    run : str
-        Name of this run, where cells of a fleet share the store.
-
-    Attributes
-    ----------
-    problem : str or None
-        Why the store takes nothing at the moment; None while all is well.
-    disk_problem : str or None
-        Why the disk takes nothing: changes wait in memory only. None while it does.
+    - ``run``: name of this run, where cells of a fleet share the store.
+    - ``problem``: why the store takes nothing at the moment; None while all is well.
+    - ``disk_problem``: why the disk takes nothing: changes wait in memory only. None while it does.
+    - ``refused``: changes of this run that the store did not take; they stand in `Store.refused`.
     """
 
     def __init__(self, queue: DurableQueue, store: Store, run: str = "") -> None:
@@ -105,6 +80,7 @@ class Outbox(Closable):
         self._closing = False
         self.problem: str | None = None
         self.disk_problem: str | None = None
+        self.refused = 0
         # Each run is a sender of its own: the numbers of a file that was restored from a copy
         # begin again where the store has gone on from.
         self._run = run
@@ -124,12 +100,8 @@ class Outbox(Closable):
     def open(cls, data_dir: Path, store: Store, file_name: str = FILE_NAME, run: str = "") -> Self:
         """Open an outbox of a data directory and begin to send what is in it.
 
-        Each process has a file of its own.
-
-        Raises
-        ------
-        StoreError
-            If its file can be neither opened nor made; one line that names it.
+        Each process has a file of its own. Raises `StoreError` if its file can be neither opened
+        nor made; one line that names it.
         """
         path = data_dir / file_name
         return cls(DurableQueue(QueueFile.open(path, _LAYOUT)), store, run)
@@ -157,17 +129,15 @@ class Outbox(Closable):
     def load_alarms(self) -> list[Alarm]:
         """All alarms that are not over, as they are when all that waits has been written."""
         # The file first: what leaves it meanwhile is in the store by then.
-        waiting = [change for _, change in self._read() if isinstance(change, AlarmChange)]
+        waiting = self.waiting_changes(AlarmChange)
         alarms = {alarm.id: alarm for alarm in self._store.alarms.load()}
         alarms |= {change.alarm.id: change.alarm for change in waiting if change.alarm is not None}
         return [alarm for alarm in alarms.values() if alarm.state != "NORM"]
 
-    def load_tellings(self) -> list[Telling]:
-        """What was told of alarms, as it is when all that waits has been written."""
-        waiting = [change for _, change in self._read() if isinstance(change, TellingChange)]
-        found = {one.key: one for one in self._store.tellings.load()}
-        found |= {one.key: one for change in waiting for one in change.tellings}
-        return [one for one in found.values() if not one.over]
+    def waiting_changes(self, kind: type[ChangeT]) -> list[ChangeT]:
+        """Changes of a kind that the store does not have yet, oldest first."""
+        found = (change_of(document) for _, document in self._read() if document is not None)
+        return [change for change in found if isinstance(change, kind)]
 
     def record(self, change: Change) -> None:
         """Have a change written after all that were recorded before; returns at once."""
@@ -178,16 +148,8 @@ class Outbox(Closable):
     def flush(self, timeout_s: float) -> bool:
         """Wait until all that was recorded is safe: on the disk, and as a rule in the store too.
 
-        Parameters
-        ----------
-        timeout_s : float
-            Wall seconds for a store that takes its time; one that is known to be away is not
-            waited for.
-
-        Returns
-        -------
-        bool
-            Whether the store has all.
+        ``timeout_s``: wall seconds for a store that takes its time; one that is known to be away is
+        not waited for. Returns whether the store has all.
         """
         with self._condition:
             self._condition.wait_for(
@@ -236,7 +198,7 @@ class Outbox(Closable):
         with self._condition:
             changes = list(islice(self._new, _PORTION))
         try:
-            self._queue.append([(self._sender, _document(change)) for change in changes])
+            self._queue.append([(self._sender, document_of(change)) for change in changes])
         except QueueUnavailableError as error:
             if self.disk_problem is None:
                 _log.error("outbox_unavailable", error=str(error), waiting=self.waiting)
@@ -262,11 +224,14 @@ class Outbox(Closable):
             _log.error("outbox_unavailable", error=str(error), waiting=self.waiting)
             return False
         count = 0
-        for delivery, change in portion:
-            if not self._hand_over(change, delivery):
+        for begin in range(0, len(portion), _TOGETHER):
+            part = portion[begin : begin + _TOGETHER]
+            taken = self._deliver_together(part)
+            if taken is None:
+                taken = self._deliver_one_by_one(part)
+            count += taken
+            if taken < len(part):
                 break
-            self._taken = delivery.number
-            count += 1
         try:
             self._queue.remove(self._taken)
         except QueueUnavailableError as error:
@@ -276,38 +241,108 @@ class Outbox(Closable):
             self._kept -= count
         return self.problem is None
 
-    def _hand_over(self, change: Change | None, delivery: Delivery | None) -> bool:
-        """Write a change into the store; False when that is away."""
+    def _deliver_together(self, portion: Sequence[tuple[Delivery, str | None]]) -> int | None:
+        """Write changes into the store in one transaction: how many; None where one is not good.
+
+        Nothing is written then.
+        """
+        changes: list[tuple[Change, Delivery]] = []
+        for delivery, document in portion:
+            change = None if document is None else change_of(document)
+            if change is not None:
+                changes.append((change, delivery))
+        if len(portion) < 2 or len(changes) < len(portion):
+            return None
+        refused = self.refused
         try:
-            if isinstance(change, AuditEntry):
-                self._store.audit.add(change, delivery)
-            elif isinstance(change, ForecastBatch):
-                self._store.forecasts.add(change.forecasts, delivery, change.audit)
-            elif isinstance(change, TellingChange):
-                self._store.tellings.save(change.tellings, delivery)
-            elif change is not None:
-                self._store.alarms.save(change.alarm, change.lines, delivery, change.audit)
-            else:
-                self._queue.note_damaged(1)
+            with self._store.delivering():
+                for change, delivery in changes:
+                    self._write(change, delivery)
         except StoreUnavailableError as error:
-            if self.problem is None:
-                _log.warning("changes_wait", error=str(error), waiting=self.waiting)
-            self.problem = str(error)
-            return False
+            self.refused = refused
+            self._wait(error)
+            return 0
+        except Exception:  # one by one shows which of them the store refuses, and why
+            self.refused = refused
+            return None
+        self._taken = portion[-1][0].number
+        self._go_on()
+        return len(portion)
+
+    def _deliver_one_by_one(self, portion: Sequence[tuple[Delivery, str | None]]) -> int:
+        """Write changes into the store, each in its own transaction; how many it took."""
+        for count, (delivery, document) in enumerate(portion):
+            if not self._deliver(document, delivery):
+                return count
+            self._taken = delivery.number
+        return len(portion)
+
+    def _deliver(self, document: str | None, delivery: Delivery) -> bool:
+        """Write what stands in the file into the store; False when that is offline."""
+        if document is None:
+            self._queue.note_damaged(1)
+            return True
+        change = change_of(document)
+        if change is not None:
+            return self._hand_over(change, delivery)
+        return self._refuse(None, document, "this version cannot read it", delivery)
+
+    def _hand_over(self, change: Change, delivery: Delivery | None) -> bool:
+        """Write a change into the store; False when that is offline."""
+        try:
+            self._write(change, delivery)
+        except StoreUnavailableError as error:
+            return self._wait(error)
         except Exception as error:
             # A change that the store refuses must not hold up the ones behind it.
-            _log.error("change_refused", change=change, error=repr(error))
+            return self._refuse(change, document_of(change), one_line(error), delivery)
+        return self._go_on()
+
+    def _write(self, change: Change, delivery: Delivery | None) -> None:
+        if isinstance(change, AuditEntry):
+            self._store.audit.add(change, delivery)
+        elif isinstance(change, FeatureChange):
+            refuse = partial(self._add_refused, delivery=delivery)
+            change.save(self._store, delivery, refuse)
+        else:
+            self._store.alarms.save(change.alarm, change.lines, delivery, change.audit)
+
+    def _add_refused(
+        self, connection: Connection, change: Change, *, delivery: Delivery | None
+    ) -> None:
+        """Keep a part of a change that the store does not take, together with the rest of it."""
+        refused = Refused(change, document_of(change), NOT_OWNED, delivery)
+        self._store.refused.add_within(connection, refused)
+        self.refused += 1
+
+    def _refuse(
+        self, change: Change | None, document: str, reason: str, delivery: Delivery | None
+    ) -> bool:
+        """Keep a change that the store does not take where it is seen; False when it waits."""
+        _log.error("change_refused", change=document, reason=reason)
+        try:
+            self._store.refused.add(Refused(change, document, reason, delivery))
+        except StoreUnavailableError as error:
+            return self._wait(error)
+        self.refused += 1
+        return self._go_on()
+
+    def _wait(self, error: StoreUnavailableError) -> bool:
+        if self.problem is None:
+            _log.warning("changes_wait", error=str(error), waiting=self.waiting)
+        self.problem = str(error)
+        return False
+
+    def _go_on(self) -> bool:
         if self.problem is not None:
             self.problem = None
             _log.info("changes_written_again", waiting=self.waiting)
         return True
 
-    def _read(self, limit: int = -1) -> list[tuple[Delivery, Change | None]]:
-        """Read the oldest changes that the store does not have."""
+    def _read(self, limit: int = -1) -> list[tuple[Delivery, str | None]]:
+        """Read the oldest changes that the store does not have; None for a damaged one."""
         return [
-            (Delivery("", number), None)
-            if row is None
-            else (Delivery(row[0], number), _change(row[1]))
+            (Delivery("", number), None) if row is None else (Delivery(row[0], number), row[1])
             for number, row in self._queue.first(limit, self._taken)
         ]
 
@@ -319,34 +354,6 @@ class Outbox(Closable):
             self._kept = len(self._queue)
             # The numbers may begin again: what the store has already it knows by its sender.
             self._sender, self._taken = self._new_sender(), 0
-
-
-def _document(change: Change) -> str:
-    if isinstance(change, ForecastBatch):
-        return json.dumps({"forecasts": msgspec.to_builtins(change)})
-    if isinstance(change, TellingChange):
-        return json.dumps({"tellings": msgspec.to_builtins(change)})
-    kind = "audit" if isinstance(change, AuditEntry) else "alarm"
-    return json.dumps({kind: asdict(change)}, default=float)
-
-
-def _change(document: str) -> Change | None:
-    """Read a change; None, with a log line, for one of another version."""
-    try:
-        ((kind, given),) = json.loads(document).items()
-        if kind == "audit":
-            return AuditEntry(**given)
-        if kind == "forecasts":
-            return msgspec.convert(given, ForecastBatch)
-        if kind == "tellings":
-            return msgspec.convert(given, TellingChange)
-        alarm = None if given["alarm"] is None else Alarm(**given["alarm"])
-        lines = tuple(AlarmTransition(**line) for line in given["lines"])
-        audit = given.get("audit")  # earlier versions kept none
-        return AlarmChange(alarm, lines, audit and AuditEntry(**audit))
-    except (ValueError, TypeError, KeyError, AttributeError, msgspec.MsgspecError) as error:
-        _log.error("change_refused", change=document, error=repr(error))
-        return None
 
 
 def _checksum(row: Row) -> int:

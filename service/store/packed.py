@@ -4,27 +4,27 @@ An hour of a channel is either in the table of samples or in a block, never in b
 is damaged has no samples, and costs no other its own.
 """
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 import structlog
 from cachetools import LRUCache
-from sqlalchemy import Connection, Select, delete, func, select, tuple_
+from sqlalchemy import Connection, Select, delete, func, insert, select, tuple_
 
 from service.clock import HOUR_US, rfc3339
-from service.store.blocks import UNKNOWN_US, Block, BlockDamagedError, Samples, unpack
+from service.store.blocks import UNKNOWN_US, Block, BlockDamagedError, ChannelSamples, pack, unpack
 from service.store.part import rows_of
 from service.store.tables import PackedHourRow, SampleBlockRow
 
 #: Hours that are looked up at a time.
 _HOURS = 64
-_NOTHING = Samples(
+NOTHING = ChannelSamples(
     np.empty(0, np.int64), np.empty(0), np.empty(0, np.uint16), np.empty(0, np.int64)
 )
 
-#: Blocks of which the log has told.
-_told: LRUCache[int, bool] = LRUCache(1000)
+#: Blocks that the log has named.
+_logged: LRUCache[int, bool] = LRUCache(1000)
 
 _log = structlog.get_logger(__name__)
 
@@ -45,7 +45,9 @@ class PackedHour(NamedTuple):
     sample_count: int
 
 
-def read(connection: Connection, channel_id: int, begin_us: int, end_us: int) -> Iterator[Samples]:
+def read(
+    connection: Connection, channel_id: int, begin_us: int, end_us: int
+) -> Iterator[ChannelSamples]:
     """Give the packed samples of a span, hour by hour as they are asked for."""
     for hour in _hours(connection, channel_id, begin_us, end_us):
         yield samples_of(connection, hour).within(begin_us, end_us)
@@ -133,7 +135,7 @@ def count(connection: Connection, channel_id: int) -> int:
     return int(connection.scalar(total) or 0)
 
 
-def rows(samples: Samples) -> list[Row]:
+def rows(samples: ChannelSamples) -> list[Row]:
     """Give samples as rows of the table of samples."""
     columns = (column.tolist() for column in samples)
     return [
@@ -147,7 +149,7 @@ def rows(samples: Samples) -> list[Row]:
     ]
 
 
-def samples_of(connection: Connection, hour: PackedHour) -> Samples:
+def samples_of(connection: Connection, hour: PackedHour) -> ChannelSamples:
     """Give the samples of a packed hour; none if its block is lost."""
     query = select(SampleBlockRow.codec, SampleBlockRow.crc, SampleBlockRow.data)
     block = connection.execute(query.where(SampleBlockRow.id == hour.block_id)).one_or_none()
@@ -160,8 +162,8 @@ def samples_of(connection: Connection, hour: PackedHour) -> Samples:
         if ends != (hour.sample_count, hour.first_us, hour.last_us):
             raise BlockDamagedError("it is that of another hour")
     except BlockDamagedError as error:
-        if hour.block_id not in _told:
-            _told[hour.block_id] = True
+        if hour.block_id not in _logged:
+            _logged[hour.block_id] = True
             _log.error(
                 "block_damaged",
                 block=hour.block_id,
@@ -169,7 +171,7 @@ def samples_of(connection: Connection, hour: PackedHour) -> Samples:
                 hour=rfc3339(hour.hour_us),
                 reason=str(error),
             )
-        return _NOTHING
+        return NOTHING
     return samples
 
 
@@ -177,6 +179,37 @@ def hours_of(connection: Connection, keys: Collection[tuple[int, int]]) -> list[
     """Find which of these channels and hours are packed."""
     key = tuple_(PackedHourRow.channel_id, PackedHourRow.hour_us)
     return [PackedHour(*row) for row in rows_of(connection, key, _select(), keys)]
+
+
+def hours_within(
+    connection: Connection, channel_ids: Collection[int], hour_us: int
+) -> list[PackedHour]:
+    """Find which of these channels have this hour packed."""
+    this = PackedHourRow.hour_us == hour_us
+    if connection.scalar(select(PackedHourRow.hour_us).where(this).limit(1)) is None:
+        return []
+    key = PackedHourRow.channel_id
+    query = _select().where(this)
+    return [PackedHour(*row) for row in rows_of(connection, key, query, channel_ids)]
+
+
+def add(
+    connection: Connection, hour_us: int, groups: Iterable[Sequence[tuple[int, ChannelSamples]]]
+) -> None:
+    """Store an hour of channels, each group in one block; those of a group have the same times."""
+    places = []
+    for group in groups:
+        block = pack([samples for _, samples in group])
+        block_id = connection.execute(
+            insert(SampleBlockRow).values(**block._asdict()).returning(SampleBlockRow.id)
+        ).scalar_one()
+        for position, (channel_id, samples) in enumerate(group):
+            times_us = samples.times_us
+            ends = int(times_us[0]), int(times_us[-1])
+            place = PackedHour(channel_id, hour_us, block_id, position, *ends, times_us.size)
+            places.append(place._asdict())
+    if places:
+        connection.execute(insert(PackedHourRow), places)
 
 
 def remove(connection: Connection, channel_id: int, hour_us: int) -> int:
@@ -189,6 +222,9 @@ def remove(connection: Connection, channel_id: int, hour_us: int) -> int:
     ).one_or_none()
     if found is None:
         return 0
+    # Two that each remove one of the last two hours of a block: the second sees that both are gone.
+    block = select(SampleBlockRow.id).where(SampleBlockRow.id == found.block_id)
+    connection.execute(block.with_for_update())
     others = select(PackedHourRow.block_id).where(PackedHourRow.block_id == found.block_id)
     if connection.scalar(others.limit(1)) is None:
         connection.execute(delete(SampleBlockRow).where(SampleBlockRow.id == found.block_id))

@@ -71,12 +71,8 @@ class _Pages:
 def page_rows(path: Path) -> Iterator[PageRow]:
     """Read all rows of all pages of a file that are not on its list of free ones.
 
-    Rows of all tables and indexes come mixed; the caller tells them apart by their shape.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be opened.
+    Rows of all tables and indexes come mixed; the caller sorts them by their shape. Raises
+    `OSError` if the file cannot be opened.
     """
     with path.open("rb", buffering=0) as raw:
         pages = _Pages(raw)
@@ -90,10 +86,7 @@ def page_rows(path: Path) -> Iterator[PageRow]:
 def log_rows(path: Path) -> Iterator[PageRow]:
     """Read all rows of the pages in a write-ahead log, the newest pages first.
 
-    Raises
-    ------
-    OSError
-        If the file cannot be opened.
+    Raises `OSError` if the file cannot be opened.
     """
     with path.open("rb", buffering=0) as raw:
         pages = _Pages(raw)

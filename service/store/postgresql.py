@@ -1,28 +1,37 @@
 """PostgreSQL: the same tables, with the samples in partitions of about a month."""
 
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import partial
 from typing import Any
 
 import numpy as np
 import psycopg
 from sqlalchemy import Connection, Engine, create_engine, event
 from sqlalchemy.engine import URL
-from sqlalchemy.exc import DBAPIError, OperationalError
+from sqlalchemy.exc import DBAPIError, IntegrityError, OperationalError
 
 from adapters.samples import Quality
 from service.store.addresses import shown
 from service.store.database import (
     PATIENCE_S,
     WRITES,
+    WRITES_SAMPLES,
     Database,
     Dialect,
+    Hours,
     SampleColumns,
     SampleValues,
+    require_alone,
 )
 from service.store.errors import StoreError
 from service.store.migrations import is_current, upgrade
+from service.store.postgresql_columns import (
+    COPY_HEADER,
+    COPY_TRAILER,
+    ROW,
+    insert_rollups,
+    read_samples,
+)
 from service.store.postgresql_connection import (
     ANSWER_S,
     CONNECT_ARGS,
@@ -38,6 +47,7 @@ PARTITION_US = 2**41
 _ANSWER_MARGIN_S = 2.0
 _IDLE_MS = 15_000
 _PATIENCE = "bearing_twin_patience_s"
+_PARTITIONS = "bearing_twin_partitions"
 #: Number of the advisory lock that a writing transaction holds; any that no one else uses.
 _WRITERS_LOCK = 0x42545772
 _INCOMING = """
@@ -46,29 +56,10 @@ CREATE TEMPORARY TABLE IF NOT EXISTS incoming_samples
 ON COMMIT DELETE ROWS
 """
 _COPY = "COPY {} (channel_id, time_us, value, quality, received_us) FROM STDIN (FORMAT BINARY)"
-# The binary format of COPY: a header, rows, a trailer. Each row begins with the number of its
-# fields, each field with its length in bytes; what is missing has the length -1.
-_COPY_HEADER = b"PGCOPY\n\xff\r\n\x00" + bytes(8)
-_COPY_TRAILER = b"\xff\xff"
 _LENGTHS = {"channel_id": 4, "time_us": 8, "value": 8, "quality": 2, "received_us": 8}
-_ROW = np.dtype(
-    [
-        ("fields", ">i2"),
-        ("channel_id_length", ">i4"),
-        ("channel_id", ">i4"),
-        ("time_us_length", ">i4"),
-        ("time_us", ">i8"),
-        ("value_length", ">i4"),
-        ("value", ">f8"),
-        ("quality_length", ">i4"),
-        ("quality", ">i2"),
-        ("received_us_length", ">i4"),
-        ("received_us", ">i8"),
-    ]
-)
 #: Rows of which nothing is missing, the value, the received time, or both.
 _ROWS = tuple(
-    np.dtype([(name, _ROW[name]) for name in _ROW.names or () if name not in missing])
+    np.dtype([(name, ROW[name]) for name in ROW.names or () if name not in missing])
     for missing in ((), ("value",), ("received_us",), ("value", "received_us"))
 )
 #: See the same statement for SQLite.
@@ -79,30 +70,28 @@ ON CONFLICT (channel_id, time_us) DO UPDATE
 SET value = excluded.value, quality = excluded.quality, received_us = excluded.received_us
 WHERE samples.quality < {Quality.GOOD:d} AND excluded.quality >= {Quality.GOOD:d}
 """
-_MARK_STALE = """
+#: A note that the rollups of an hour of a channel are stale is also the lock of its samples: who
+#: adds to them, and who packs them, writes it first, and finds it again or waits.
+_LOCK_HOURS = """
 INSERT INTO stale_rollups (channel_id, hour_us) SELECT * FROM unnest(%s::integer[], %s::bigint[])
-ON CONFLICT DO NOTHING
+ON CONFLICT (channel_id, hour_us) DO UPDATE SET hour_us = excluded.hour_us WHERE false
+RETURNING channel_id, hour_us
+"""
+_UNMARK = """
+DELETE FROM stale_rollups USING unnest(%s::integer[], %s::bigint[]) AS one (channel_id, hour_us)
+WHERE stale_rollups.channel_id = one.channel_id AND stale_rollups.hour_us = one.hour_us
 """
 
 
 def open_postgresql(url: URL, *, migrate: bool, run: str = "") -> Database:
     """Connect to the database.
 
-    Parameters
-    ----------
-    url : sqlalchemy.engine.URL
-        Its address.
-    migrate : bool
-        Bring the tables up to date first; otherwise they must be.
-    run : str
-        What the server calls the connections; empty for the name of the product.
+    Raises `StoreError` if there is no connection, or the tables are not those of this version; one
+    line. Raises `StoreUnavailableError` if that may pass: the server is not up yet, or
+    does not answer.
 
-    Raises
-    ------
-    StoreError
-        If there is no connection, or the tables are not those of this version; one line.
-    StoreUnavailableError
-        If that may pass by itself: the server is not up yet, or does not answer.
+    - ``migrate``: bring the tables up to date first; otherwise they must be.
+    - ``run``: what the server calls the connections; empty for the name of the product.
     """
     name = f"service.database_url = {shown(url)!r}"
     # A migration may take its time.
@@ -120,17 +109,32 @@ def open_postgresql(url: URL, *, migrate: bool, run: str = "") -> Database:
     except StoreError as error:
         engine.dispose()
         raise type(error)(f"{name}: {error}") from error
-    partitions: set[int] = set()
-    upsert_samples = partial(_upsert_samples, partitions)
-    return Database(engine, shown(url), Dialect(upsert_samples, _mark_stale, _with_patience))
+    dialect = Dialect(
+        _upsert_samples, read_samples, insert_rollups, _lock_hours, _mark_stale, _with_patience
+    )
+    return Database(engine, shown(url), dialect)
 
 
-def _mark_stale(connection: Connection, hours: Collection[tuple[int, int]]) -> None:
-    channel_ids, hours_us = zip(*hours, strict=True)
-    connection.exec_driver_sql(_MARK_STALE, (list(channel_ids), list(hours_us)))
+def _lock_hours(connection: Connection, hours: Hours) -> Hours:
+    if not hours:
+        return ()
+    # In one order: two that want the same ones cannot wait for each other.
+    channel_ids, hours_us = zip(*sorted(hours), strict=True)
+    rows = connection.exec_driver_sql(_LOCK_HOURS, (list(channel_ids), list(hours_us)))
+    return {(channel_id, hour_us) for channel_id, hour_us in rows}
 
 
-def _upsert_samples(partitions: set[int], connection: Connection, columns: SampleColumns) -> int:
+def _mark_stale(connection: Connection, hours: Hours, locked: Hours) -> None:
+    """Only take back what is not stale: what is locked is marked by that."""
+    needless = set(locked).difference(hours)
+    if needless:
+        channel_ids, hours_us = zip(*needless, strict=True)
+        connection.exec_driver_sql(_UNMARK, (list(channel_ids), list(hours_us)))
+
+
+def _upsert_samples(connection: Connection, columns: SampleColumns) -> int:
+    # Of the server that this connection leads to: the next one may lead to another.
+    partitions: set[int] = connection.info.setdefault(_PARTITIONS, set())
     times_us = columns.times_us
     first, last = min(times_us) // PARTITION_US, max(times_us) // PARTITION_US
     needed = {first} if first == last else {time_us // PARTITION_US for time_us in times_us}
@@ -159,6 +163,8 @@ def _upsert_samples(partitions: set[int], connection: Connection, columns: Sampl
         return int(cursor.rowcount) + twice
     except (psycopg.OperationalError, psycopg.InternalError) as error:
         raise OperationalError(_COPY, None, error) from error  # as it comes from other statements
+    except psycopg.IntegrityError as error:
+        raise IntegrityError(_COPY, None, error) from error
     finally:
         cursor.close()
 
@@ -175,14 +181,14 @@ def _packed(columns: SampleColumns) -> bytes:
         unknown |= [received_us is None for received_us in columns.received_us]
         columns = columns._replace(received_us=[time_us or 0 for time_us in columns.received_us])
     arrays = {
-        name: np.array(column, dtype=_ROW[name])  # None becomes not a number
+        name: np.array(column, dtype=ROW[name])  # None becomes not a number
         for name, column in zip(_LENGTHS, columns, strict=True)
     }
     # Channel by channel, each in the order in which it came: next to each other in the index.
     order = np.argsort(arrays["channel_id"], kind="stable")
     arrays = {name: array[order] for name, array in arrays.items()}
     kinds = np.isnan(arrays["value"]) + 2 * unknown[order]
-    parts = [_COPY_HEADER]
+    parts = [COPY_HEADER]
     for kind, dtype in enumerate(_ROWS):
         chosen = kinds == kind
         rows = np.empty(np.count_nonzero(chosen), dtype)
@@ -194,7 +200,7 @@ def _packed(columns: SampleColumns) -> bytes:
             else:
                 rows[f"{name}_length"] = -1
         parts.append(rows.tobytes())
-    return b"".join((*parts, _COPY_TRAILER))
+    return b"".join((*parts, COPY_TRAILER))
 
 
 def _is_stored(connection: Connection, key: tuple[int, int]) -> bool:
@@ -226,6 +232,7 @@ def _has_partition(connection: Connection, number: int) -> bool:
 
 
 def _make_partition(connection: Connection, number: int) -> None:
+    require_alone(connection)  # it keeps everyone else from the table
     first_us, end_us = number * PARTITION_US, (number + 1) * PARTITION_US
     name = f"samples_p{number}"
     connection.exec_driver_sql(
@@ -269,7 +276,7 @@ def _engine(url: URL, answer_s: float | None, run: str) -> Engine:
             limit_s = min(limit_s, patience_s + _ANSWER_MARGIN_S)
         raw: Any = connection.connection.driver_connection
         raw.answer_s = limit_s
-        # A server that is only slow ends by itself what no caller waits for any more.
+        # A server that is only slow ends what no caller waits for any more.
         limit_ms = 0 if limit_s is None else round(limit_s * 1000)
         if writes:
             connection.exec_driver_sql(
@@ -279,8 +286,10 @@ def _engine(url: URL, answer_s: float | None, run: str) -> Engine:
                 f"SET LOCAL statement_timeout = {limit_ms}"
             )
             # Writers of all programs take turns, as with SQLite: what one reads before it writes
-            # is still true when it writes.
-            connection.exec_driver_sql(f"SELECT pg_advisory_xact_lock({_WRITERS_LOCK})")
+            # is still true when it writes. Those of samples share a turn.
+            samples = connection.get_execution_options().get(WRITES_SAMPLES, False)
+            lock = "pg_advisory_xact_lock_shared" if samples else "pg_advisory_xact_lock"
+            connection.exec_driver_sql(f"SELECT {lock}({_WRITERS_LOCK})")
         else:
             connection.exec_driver_sql(
                 "SET TRANSACTION ISOLATION LEVEL REPEATABLE READ READ ONLY;"

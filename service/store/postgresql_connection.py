@@ -65,7 +65,7 @@ class _SilenceError(psycopg.OperationalError):
 
 
 def _within(gen: PQGen[_Answer], answer_s: float) -> PQGen[_Answer]:
-    """Pass a wait on until the time is over; whoever waits looks in every tenth of a second."""
+    """Pass a wait on until the time is over; the waiting thread looks in ten times a second."""
     ends_s = time.monotonic() + answer_s
     try:
         wanted = next(gen)
@@ -83,19 +83,8 @@ def _within(gen: PQGen[_Answer], answer_s: float) -> PQGen[_Answer]:
 def connection_error(name: str, cause: BaseException | None, url: URL) -> StoreError:
     """Make the error of a connection: one line, of the kind that its cause is.
 
-    Parameters
-    ----------
-    name : str
-        What to call the database.
-    cause : BaseException or None
-        What the driver raised.
-    url : sqlalchemy.engine.URL
-        The database's; its passwords are taken out.
-
-    Returns
-    -------
-    StoreError
-        A `StoreUnavailableError` unless a person must mend it (wrong password, unknown database).
+    ``url``: the database's; its passwords are taken out. Returns a `StoreUnavailableError` unless a
+    person must mend it (wrong password, unknown database).
     """
     reason = without_secrets(str(cause), url)
     state = getattr(cause, "sqlstate", None) or ""

@@ -1,7 +1,7 @@
 """Assets that are not in the configuration file: made by REST or by command while it runs."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 from sqlalchemy import Connection, Row, Select, bindparam, func, insert, select, text, update
@@ -17,11 +17,13 @@ _COLUMNS = (
     ProvisionedAssetRow.document,
     ProvisionedAssetRow.revision,
     ProvisionedAssetRow.changed_us,
+    ProvisionedAssetRow.removed_us,
+    ProvisionedAssetRow.added_us,
 )
 
 
 class ProvisionedAssets(StorePart):
-    """Tables of assets as a configuration file would hold them; nobody checks them here.
+    """Tables of assets as a configuration file would hold them, unchecked.
 
     Each change gets a revision, greater than all before: who knows one asks for what is newer.
     """
@@ -43,6 +45,19 @@ class ProvisionedAssets(StorePart):
         )
         return found[0] if found else None
 
+    def once_removed(self, ids: Collection[str] | None = None) -> list[ProvisionedAsset]:
+        """Those that were removed, also where they were added again, by id; of some ids or all."""
+        query = (
+            select(*_COLUMNS)
+            .where(ProvisionedAssetRow.removed_us.is_not(None))
+            .order_by(ProvisionedAssetRow.id)
+        )
+        if ids is None:
+            return self._found(query)
+        with self._database.reading() as connection:
+            rows = rows_of(connection, ProvisionedAssetRow.id, query, ids)
+            return [_asset(row) for row in rows]
+
     def changed_since(self, revision: int) -> list[ProvisionedAsset]:
         """What has a greater revision, oldest first; the table of a removed one is None."""
         return self._found(
@@ -60,27 +75,12 @@ class ProvisionedAssets(StorePart):
     ) -> int:
         """Write all changes and the line of the audit trail in one transaction.
 
-        Parameters
-        ----------
-        changes
-            Tables by id; None removes an asset.
-        at_us
-            Wall time, UTC microseconds.
-        line
-            Who changes it.
-        based_on
-            Revisions, by id, of the tables that the changes were made of; None for one that there
-            must not be.
+        Returns the new revision. Raises `ChangedMeanwhileError` if one of `based_on` has another
+        revision now; nothing is written.
 
-        Returns
-        -------
-        int
-            Their revision.
-
-        Raises
-        ------
-        ChangedMeanwhileError
-            If one of `based_on` has another revision now; nothing is written.
+        - ``changes``: tables by id; None removes an asset.
+        - ``based_on``: revisions, by id, of the tables that the changes were made of; None for one
+          that there must not be.
         """
         with self._database.writing() as connection:
             if connection.dialect.name == "postgresql":
@@ -89,7 +89,9 @@ class ProvisionedAssets(StorePart):
             _compare(connection, based_on or {})
             newest = connection.scalar(select(func.max(ProvisionedAssetRow.revision))) or 0
             key = ProvisionedAssetRow.id
-            known = {row[0] for row in rows_of(connection, key, select(key), changes)}
+            known = {
+                row.id: _asset(row) for row in rows_of(connection, key, select(*_COLUMNS), changes)
+            }
             rows = [
                 {
                     "id": asset_id,
@@ -97,6 +99,7 @@ class ProvisionedAssets(StorePart):
                     "revision": newest + 1,
                     "changed_us": at_us,
                 }
+                | _absence(known.get(asset_id), table is None, at_us)
                 for asset_id, table in changes.items()
                 if table is not None or asset_id in known
             ]
@@ -128,6 +131,22 @@ def _compare(connection: Connection, based_on: Mapping[str, int | None]) -> None
             )
 
 
+def _absence(
+    before: ProvisionedAsset | None, is_removed: bool, at_us: int
+) -> dict[str, int | None]:
+    """Since when and until when the asset was away the last time."""
+    if before is None:
+        return {"removed_us": None, "added_us": None}
+    removed_us, added_us = before.removed_us, before.added_us
+    if is_removed and before.table is not None:
+        removed_us, added_us = at_us, None
+    elif not is_removed and before.table is None:
+        added_us = at_us
+    return {"removed_us": removed_us, "added_us": added_us}
+
+
 def _asset(row: Row[*tuple[Any, ...]]) -> ProvisionedAsset:
     table = None if row.document is None else json.loads(row.document)
-    return ProvisionedAsset(row.id, table, row.revision, row.changed_us)
+    return ProvisionedAsset(
+        row.id, table, row.revision, row.changed_us, row.removed_us, row.added_us
+    )

@@ -11,6 +11,7 @@ from typing import Any, Self
 
 import structlog
 
+from service.domain.errors import BearingTwinError
 from service.files import make_private_file
 from service.store.errors import opening_error
 from service.store.pages import PageRow, page_rows
@@ -37,7 +38,7 @@ _LARGEST_BYTES = 2**36
 _log = structlog.get_logger(__name__)
 
 
-class QueueUnavailableError(RuntimeError):
+class QueueUnavailableError(BearingTwinError, RuntimeError):
     """The file cannot be read or written now (disk full, I/O error)."""
 
 
@@ -49,15 +50,9 @@ Row = Sequence[Any]
 class Mended:
     """What became of a damaged file.
 
-    Attributes
-    ----------
-    kept_as : pathlib.Path
-        Where the damaged file is now.
-    salvaged : int
-        Rows that were found in it, and wait again.
-    lost : int
-        Rows that were not found. Where the number of those that waited is damaged too, it is
-        estimated from the gaps in their numbers.
+    - ``salvaged``: rows that were found in it, and wait again.
+    - ``lost``: rows that were not found. Where the number of those that waited is damaged too, it
+      is estimated from the gaps in their numbers.
     """
 
     kept_as: Path
@@ -69,27 +64,16 @@ class Mended:
 class QueueLayout:
     """What a queue keeps in its file.
 
-    Attributes
-    ----------
-    application_id : int
-        Marks the file as ours.
-    tables : str
-        SQL that makes the tables where they are missing.
-    table : str
-        The table whose rows wait.
-    key : str
-        Its first column, the number of the row.
-    columns : tuple of str
-        Its other columns, but for the last one, which is ``checksum``.
-    checksum : callable
-        The checksum of a row of these columns; it must not raise for a damaged one.
-    salvage : callable
-        Turns values of those columns, from a row of any page, into a row; None if they are none.
-    added_columns : collection of (str, str)
-        Columns, with their types, that files of earlier versions lack.
-    reserved_bytes : int
-        Room that the file keeps, so that a full disk can still take so much. Without it the
-        file gives its room back to the disk when the queue has drained.
+    - ``tables``: SQL that makes the tables where they are missing.
+    - ``table``: the table whose rows wait.
+    - ``key``: its first column, the number of the row.
+    - ``columns``: its other columns, but for the last one, which is ``checksum``.
+    - ``checksum``: the checksum of a row of these columns; it must not raise for a damaged one.
+    - ``salvage``: turns values of those columns, from a row of any page, into a row; None if they
+      are none.
+    - ``added_columns``: columns, with their types, that files of earlier versions lack.
+    - ``reserved_bytes``: room that the file keeps, so that a full disk can still take so much.
+      Without it the file gives its room back to the disk when the queue has drained.
     """
 
     application_id: int
@@ -126,26 +110,8 @@ class QueueLayout:
 class QueueFile:
     """An SQLite file whose commits are on the disk when they return. Safe from any thread.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-        Made when it does not exist; the first part of its name is what messages call it.
-    layout : QueueLayout
-        What is in it.
-
-    Attributes
-    ----------
-    name : str
-        What messages call it.
-    layout : QueueLayout
-        What is in it.
-    mended : Mended or None
-        What became of the file when it was last found damaged.
-
-    Raises
-    ------
-    StoreError
-        If the file can be neither opened nor made; one line that names it.
+    ``mended``: what became of the file when it was last found damaged. Raises `StoreError` if the
+    file can be neither opened nor made; one line that names it.
     """
 
     def __init__(self, path: Path, layout: QueueLayout) -> None:
@@ -188,11 +154,8 @@ class QueueFile:
     def reading(self) -> Iterator[sqlite3.Connection]:
         """Give the connection, to no one else meanwhile.
 
-        Raises
-        ------
-        QueueUnavailableError
-            If the file cannot be read now. When it turns out to be damaged again and again it is
-            mended, and the next call finds what could be salvaged.
+        Raises `QueueUnavailableError` if the file cannot be read now. When it turns out to be
+        damaged again and again it is mended, and the next call finds what could be salvaged.
         """
         with self._lock:
             try:
@@ -208,10 +171,7 @@ class QueueFile:
     def writing(self) -> Iterator[sqlite3.Connection]:
         """Give the connection within a transaction, all or nothing of which is on the disk then.
 
-        Raises
-        ------
-        QueueUnavailableError
-            If the disk does not take it; then the file is as it was.
+        Raises `QueueUnavailableError` if the disk does not take it; then the file is as it was.
         """
         with self.reading() as connection:
             connection.execute("BEGIN IMMEDIATE")
@@ -255,14 +215,15 @@ def note_count(connection: sqlite3.Connection, count: int) -> None:
     connection.execute(f"PRAGMA user_version = {min(count, 2**31 - 1)}")
 
 
-def _checked(path: Path, layout: QueueLayout) -> sqlite3.Connection:
-    """Open a file that is whole.
+def used_pages(connection: sqlite3.Connection) -> int:
+    """Pages of the file that hold something."""
+    pages = connection.execute("PRAGMA page_count").fetchone()[0]
+    free = connection.execute("PRAGMA freelist_count").fetchone()[0]
+    return int(pages) - int(free)
 
-    Raises
-    ------
-    sqlite3.Error
-        If it is damaged, or cannot be used now.
-    """
+
+def _checked(path: Path, layout: QueueLayout) -> sqlite3.Connection:
+    """Open a file that is whole. Raises `sqlite3.Error` if it is damaged, or cannot be used now."""
     there = path.exists()
     connection = _connect(path, layout)
     try:

@@ -41,11 +41,10 @@ class StoredSample(NamedTuple):
     received_us: int | None
 
 
-@dataclass(frozen=True, slots=True)
-class Rollup:
+class Rollup(NamedTuple):
     """One bucket of one channel: statistics over its good samples.
 
-    ``time_us`` is the start of the bucket. ``count`` is the number of good samples; without any,
+    ``time_us`` is the start of the bucket. ``good`` is the number of good samples; without any,
     the statistics are None and ``quality`` is the worst quality in the bucket.
     """
 
@@ -54,7 +53,7 @@ class Rollup:
     mean: float | None
     min: float | None
     max: float | None
-    count: int
+    good: int
     quality: int
 
 
@@ -62,14 +61,10 @@ class Rollup:
 class MinuteTable:
     """Averages per minute of several channels, for the minutes that have any sample at all.
 
-    Attributes
-    ----------
-    minute_us : ndarray of int64, shape (n,)
-        Start of each minute, ascending.
-    mean : dict of ndarray of float64, shape (n,)
-        Mean of the good samples per channel, NaN where a minute has none.
-    good_count, bad_count : dict of ndarray of int64, shape (n,)
-        Samples of good quality, and of any other quality, per channel.
+    - ``minute_us``: (n,) start of each minute, ascending.
+    - ``mean``: (n,) mean of the good samples per channel, NaN where a minute has none.
+    - ``good_count``, ``bad_count``: (n,) samples of good quality, and of any other quality, per
+      channel.
     """
 
     minute_us: NDArray[np.int64]
@@ -147,18 +142,18 @@ class JobChanges(TypedDict, total=False):
 class ProvisionedAsset:
     """An asset that is not in the configuration file (changed at, on the wall clock).
 
-    Attributes
-    ----------
-    table
-        As a configuration file would hold it, without its id; None when it was removed.
-    revision
-        Of its last change.
+    - ``table``: as a configuration file would hold it, without its id; None when it was removed.
+    - ``revision``: of its last change.
+    - ``removed_us``: when it was removed the last time; None: never.
+    - ``added_us``: when it was added again after that; None: not since.
     """
 
     id: str
     table: dict[str, Any] | None
     revision: int
     changed_us: int
+    removed_us: int | None = None
+    added_us: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,7 +169,7 @@ class ApiKey:
     revoked_us: int | None
 
     def is_valid(self, now_us: int) -> bool:
-        """Tell whether the key opens anything at this wall time (UTC microseconds)."""
+        """Whether the key opens anything at this wall time (UTC microseconds)."""
         return self.revoked_us is None and (self.expires_us is None or now_us < self.expires_us)
 
 
@@ -188,7 +183,7 @@ class BrowserSession:
     expires_us: int
 
     def is_valid(self, now_us: int) -> bool:
-        """Tell whether the session opens anything at this wall time (UTC microseconds)."""
+        """Whether the session opens anything at this wall time (UTC microseconds)."""
         return now_us < self.expires_us and self.key.is_valid(now_us)
 
 

@@ -1,24 +1,39 @@
 """Rollups: statistics per minute and hour, kept up to date, and what is kept for how long."""
 
+import math
+import time
+from bisect import bisect_right
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import groupby
+from operator import itemgetter
 from typing import Literal
 
-from sqlalchemy import Connection, delete, func, insert, select, update
+import numpy as np
+from sqlalchemy import Connection, delete, func, insert, select, tuple_, update
 
-from service.clock import DAY_US, HOUR_US, MINUTE_US
-from service.store import buckets, packed
+from service.clock import DAY_US, HOUR_US, MICROSECONDS, MINUTE_US
+from service.store import buckets, hours, packed, rollup_blocks
+from service.store.access_tables import AuditRow
 from service.store.buckets import LEVELS_S
-from service.store.database import Database
+from service.store.database import Database, RollupColumns
+from service.store.hours import (
+    HourOfChannels,
+    Portions,
+    newest_in_table,
+    oldest_in_table,
+    owned_channels,
+)
 from service.store.part import StorePart
-from service.store.samples import Samples, first_time_us, last_time_us, raw_horizon_us
+from service.store.rollup_blocks import SPANS_US, Buckets
+from service.store.samples import Samples, raw_horizon_us
 from service.store.tables import (
     AlarmTransitionRow,
-    AuditRow,
     ChannelRow,
+    PackedHourRow,
     RawHorizonRow,
     RetentionMarkRow,
     RollupRow,
-    SampleRow,
     StaleRollupRow,
 )
 
@@ -26,7 +41,12 @@ from service.store.tables import (
 STEP_US = 20 * MINUTE_US + HOUR_US
 #: A clock that is ahead of the last look by more needs a proof before anything is removed.
 _GAP_US = 7 * 24 * HOUR_US
-_COLUMNS = ("channel_id", "resolution_s", "time_us", "mean", "low", "high", "good", "quality")
+#: Marked hours that are looked up at a time.
+_DUE = 50_000
+#: Days of rows of an earlier version that the first transaction moves into blocks.
+_FIRST_MOVES = 4
+#: Blocks that are looked through at a time.
+_BLOCKS = 100
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,19 +62,14 @@ class Retention:
     hour_days: float | None = None
     journal_days: float = 0.0
     audit_days: float = 0.0
-    forecast_days: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class RetentionTime:
     """From when retention counts its days back, and by how much the clock is implausibly ahead.
 
-    Attributes
-    ----------
-    at_us : int
-        UTC microseconds; 0 when nothing is stored.
-    ahead_us : int
-        How far the clock is ahead of the last look, where that needs a proof; else 0.
+    - ``at_us``: UTC microseconds; 0 when nothing is stored.
+    - ``ahead_us``: how far the clock is ahead of the last look, where that needs a proof; else 0.
     """
 
     at_us: int
@@ -64,46 +79,115 @@ class RetentionTime:
 class Rollups(StorePart):
     """Rollups of all channels. Hours that got samples are marked, and computed again later.
 
-    Parameters
-    ----------
-    database : Database
-        The store's.
-    samples : Samples
-        Is told what becomes of the raw samples that it has written.
+    ``samples``: learns what becomes of the raw samples that it has written.
     """
 
     def __init__(self, database: Database, samples: Samples) -> None:
         super().__init__(database)
         self._samples = samples
+        self._portions = Portions()
+        self._moves = Portions()
+        self._moves.size = _FIRST_MOVES
 
-    def refresh(self, before_us: int, limit: int = 200) -> int:
-        """Compute rollups of marked hours that are over; each hour is a short transaction.
+    def refresh(self, before_us: int, owns: Callable[[str], bool] | None = None) -> int:
+        """Compute rollups of marked hours that are over; each transaction is short.
 
-        Parameters
-        ----------
-        before_us : int
-            Only hours that ended by this time, UTC microseconds. Later ones are still read from
-            the raw samples, and so are marked ones: what is read is always right.
-        limit : int
-            Hours of channels at most.
+        Later hours are still read from the raw samples, and so are marked ones: what is read is
+        always right. Returns how many hours of channels were computed.
 
-        Returns
-        -------
-        int
-            Hours of channels that were computed; call again while it equals ``limit``.
+        - ``before_us``: only hours that ended by this time, UTC microseconds.
+        - ``owns``: whether an asset is to be looked at; None: all are.
         """
-        query = (
-            select(StaleRollupRow.channel_id, StaleRollupRow.hour_us)
-            .where(StaleRollupRow.hour_us <= before_us - HOUR_US)
-            .order_by(StaleRollupRow.hour_us)
-            .limit(limit)
+        done = 0
+        for hour_us, channel_ids in self._due(before_us, owns):
+            left = sorted(channel_ids)
+            while left:
+                portion = left[: self._portions.size]
+                with self._database.writing_samples() as connection:
+                    taken, count = self._compute_portion(connection, portion, hour_us)
+                left = left[taken:]
+                done += count
+        return done
+
+    def pack_rows(
+        self, until_s: float = math.inf, owns: Callable[[str], bool] | None = None
+    ) -> int:
+        """Move the oldest rows of each channel that an earlier version left into their block.
+
+        Each transaction is short; it is as well to stop in between. Returns how many rows were
+        moved; call again until it is 0.
+
+        - ``until_s``: when to stop, on the monotonic clock.
+        - ``owns``: whether an asset is to be looked at; None: all are.
+        """
+        moved = 0
+        for resolution_s in SPANS_US:
+            query = rollup_blocks.oldest_row(resolution_s)
+            with self._database.reading() as connection:
+                rows = connection.execute(query).all()
+            left = [
+                (number, time_us)
+                for asset, number, time_us in rows
+                if time_us is not None and (owns is None or owns(asset))
+            ]
+            while left and time.monotonic() < until_s:
+                portion, left = left[: self._moves.size], left[self._moves.size :]
+                with self._database.writing() as connection, self._moves.measured(len(portion)):
+                    for number, time_us in portion:
+                        moved += rollup_blocks.move_rows(connection, number, resolution_s, time_us)
+        return moved
+
+    def find_damage(self) -> str | None:
+        """Look through all blocks; one line that says whose rollups are lost, or None."""
+        assets: set[str] = set()
+        after: rollup_blocks.Key | None = (-1, 0, 0)
+        while after is not None:
+            with self._database.reading() as connection:
+                broken, after = rollup_blocks.damaged_assets(connection, after, _BLOCKS)
+            assets |= broken
+        if not assets:
+            return None
+        return (
+            f"blocks of rollups are damaged: minutes or seconds of {', '.join(sorted(assets))} "
+            "cannot be read where there are no samples any more; restore a backup if they are "
+            "needed"
         )
-        with self._database.reading() as connection:
-            hours = [(channel_id, hour_us) for channel_id, hour_us in connection.execute(query)]
-        for channel_id, hour_us in hours:
-            with self._database.writing() as connection:
-                _compute(connection, channel_id, hour_us)
-        return len(hours)
+
+    def _due(
+        self, before_us: int, owns: Callable[[str], bool] | None
+    ) -> Iterator[tuple[int, list[int]]]:
+        """Find hours with the channels that are marked in them, oldest first."""
+        hour_us, channel_id = StaleRollupRow.hour_us, StaleRollupRow.channel_id
+        query = select(hour_us, channel_id).where(hour_us <= before_us - HOUR_US)
+        query = query.order_by(hour_us, channel_id).limit(_DUE)
+        after = (-1, -1)
+        while True:
+            with self._database.reading() as connection:
+                rows = connection.execute(
+                    query.where(tuple_(hour_us, channel_id) > tuple_(*after))
+                ).all()
+                ours = None if owns is None or not rows else owned_channels(connection, owns)
+            for hour, marked in groupby(rows, itemgetter(0)):
+                yield hour, [row[1] for row in marked if ours is None or row[1] in ours]
+            if len(rows) < _DUE:
+                return
+            after = rows[-1][0], rows[-1][1]
+
+    def _compute_portion(
+        self, connection: Connection, channel_ids: list[int], hour_us: int
+    ) -> tuple[int, int]:
+        """Compute an hour of the first of some channels: how many of them, how many were due."""
+        with self._portions.measured(len(channel_ids)):
+            # What another program works on is left to it, and to the next look.
+            this = (StaleRollupRow.channel_id.in_(channel_ids), StaleRollupRow.hour_us == hour_us)
+            query = select(StaleRollupRow.channel_id).where(*this)
+            due = sorted(connection.scalars(query.with_for_update(skip_locked=True)))
+            if not due:
+                return len(channel_ids), 0
+            taken = _compute(connection, self._database, due, hour_us)
+        if len(taken) == len(due):
+            return len(channel_ids), len(due)
+        return bisect_right(channel_ids, taken[-1]), len(taken)
 
     def retention_time(
         self,
@@ -120,21 +204,13 @@ class Rollups(StorePart):
         the clock is more than a week ahead of the look before, it stays where it is, unless the
         clock is proven.
 
-        Parameters
-        ----------
-        clock : str
-            "process" for samples and the journal, "wall" for the audit trail.
-        now_us : int
-            What that clock shows, UTC microseconds.
-        step_us : int
-            How far it moves at most.
-        clock_proven : bool
-            A time server, or a person, vouches for the clock.
+        - ``clock``: "process" for samples and the journal, "wall" for the audit trail.
+        - ``clock_proven``: a time server, or a person, vouches for the clock.
         """
+        newest_us = _newest_us(self._database, clock)
+        if newest_us is None:
+            return RetentionTime(0, 0)
         with self._database.writing() as connection:
-            newest_us = _newest_us(connection, clock)
-            if newest_us is None:
-                return RetentionTime(0, 0)
             target_us = min(now_us, newest_us)
             this = RetentionMarkRow.clock == clock
             mark_us = connection.scalar(select(RetentionMarkRow.time_us).where(this))
@@ -171,22 +247,7 @@ class Rollups(StorePart):
         return horizon_us
 
     def expire(self, retention: Retention, now_us: int, step_us: int = STEP_US) -> int:
-        """Remove what has been kept long enough; raw samples only once they are condensed.
-
-        Parameters
-        ----------
-        retention : Retention
-            How long each resolution is kept.
-        now_us : int
-            Process time, UTC microseconds; see `retention_time`.
-        step_us : int
-            How far retention may move on.
-
-        Returns
-        -------
-        int
-            Rows that were removed.
-        """
+        """Remove what has been kept long enough; raw samples only once they are condensed."""
         return self.expire_at(retention, self.retention_time("process", now_us, step_us).at_us)
 
     def expire_at(self, retention: Retention, now_us: int) -> int:
@@ -208,6 +269,8 @@ class Rollups(StorePart):
                 continue
             end_us = now_us - round(days * DAY_US)
             with self._database.writing() as connection:
+                if resolution_s in SPANS_US:
+                    removed += rollup_blocks.remove_before(connection, resolution_s, end_us)
                 removed += connection.execute(
                     delete(RollupRow).where(
                         RollupRow.resolution_s == resolution_s,
@@ -220,83 +283,116 @@ class Rollups(StorePart):
         """Condense and remove hour after hour, so that new samples have their turn in between."""
         removed = 0
         while True:
-            with self._database.writing() as connection:
-                oldest_us = _oldest_us(connection)
-                if oldest_us is None or oldest_us >= horizon_us:
-                    return removed
-                hour_us = oldest_us - oldest_us % HOUR_US
-                removed += self._condense(connection, hour_us, keeps_seconds)
-                # No further than what is gone: whatever else is said to be old can still come.
-                if hour_us + HOUR_US > raw_horizon_us(connection):
-                    _set_raw_horizon(connection, hour_us + HOUR_US)
-                self._samples.keep_from(raw_horizon_us(connection))
+            oldest_us = _oldest_us(self._database)
+            if oldest_us is None or oldest_us >= horizon_us:
+                return removed
+            hour_us = oldest_us - oldest_us % HOUR_US
+            with self._database.reading() as connection:
+                left = list(connection.scalars(select(ChannelRow.id).order_by(ChannelRow.id)))
+            while left:
+                portion = left[: self._portions.size]
+                with self._database.writing() as connection:
+                    # First of all: what comes meanwhile for a channel that is done is too old.
+                    # No further than what goes: whatever else is said to be old can still come.
+                    if hour_us + HOUR_US > raw_horizon_us(connection):
+                        _set_raw_horizon(connection, hour_us + HOUR_US)
+                    self._samples.keep_from(raw_horizon_us(connection))
+                    with self._portions.measured(len(portion)):
+                        taken, count = self._condense(connection, portion, hour_us, keeps_seconds)
+                left = left[bisect_right(left, taken[-1]) :]
+                removed += count
 
-    def _condense(self, connection: Connection, hour_us: int, keeps_seconds: bool) -> int:
-        in_hour = (SampleRow.time_us >= hour_us, SampleRow.time_us < hour_us + HOUR_US)
-        for channel_id in connection.scalars(select(ChannelRow.id)).all():
-            _compute(connection, channel_id, hour_us)
-            if keeps_seconds:
-                _insert(connection, channel_id, 1, hour_us, hour_us + HOUR_US)
-        removed = 0
-        for channel_id in connection.scalars(select(ChannelRow.id)).all():
-            removed += connection.execute(
-                delete(SampleRow).where(SampleRow.channel_id == channel_id, *in_hour)
-            ).rowcount
-            removed += packed.remove(connection, channel_id, hour_us)
-        return removed
-
-
-def _oldest_us(connection: Connection) -> int | None:
-    # One look per channel at the primary key; a plain minimum would read all samples.
-    firsts = (
-        first_time_us(connection, channel_id, 0)
-        for channel_id in connection.scalars(select(ChannelRow.id)).all()
-    )
-    return min((first for first in firsts if first is not None), default=None)
-
-
-def _newest_us(connection: Connection, clock: Literal["process", "wall"]) -> int | None:
-    if clock == "wall":
-        newest = select(AuditRow.time_us).order_by(AuditRow.id.desc()).limit(1)
-        return connection.scalar(newest)
-    lasts = [
-        last_time_us(connection, channel_id)
-        for channel_id in connection.scalars(select(ChannelRow.id)).all()
-    ]
-    lasts.append(connection.scalar(select(func.max(AlarmTransitionRow.time_us))))
-    return max((last for last in lasts if last is not None), default=None)
+    def _condense(
+        self, connection: Connection, channel_ids: list[int], hour_us: int, keeps_seconds: bool
+    ) -> tuple[list[int], int]:
+        """Condense and remove an hour of the first of some channels: which ones, how many rows."""
+        taken, found = hours.read(connection, self._database, channel_ids, hour_us)
+        this = (StaleRollupRow.channel_id.in_(taken), StaleRollupRow.hour_us == hour_us)
+        due = sorted(connection.scalars(select(StaleRollupRow.channel_id).where(*this)))
+        while due:
+            due = due[len(_compute(connection, self._database, due, hour_us)) :]
+        if keeps_seconds:
+            seconds = _columns(found, 1)
+            rollup_blocks.put(connection, taken, 1, hour_us, seconds, replaces_hour=False)
+        removed = hours.remove_from_table(connection, taken, hour_us)
+        for hour in packed.hours_within(connection, taken, hour_us):
+            removed += packed.remove(connection, hour.channel_id, hour_us)
+        return taken, removed
 
 
-def _compute(connection: Connection, channel_id: int, hour_us: int) -> None:
-    this_hour = (StaleRollupRow.channel_id == channel_id, StaleRollupRow.hour_us == hour_us)
-    if not connection.scalar(select(func.count()).select_from(StaleRollupRow).where(*this_hour)):
-        return  # another program was here
+def _oldest_us(database: Database) -> int | None:
+    """Begin of the hour of the oldest sample."""
+    firsts = oldest_in_table().subquery()
+    with database.reading() as connection:
+        found = (
+            connection.scalar(select(func.min(firsts.c.time_us))),
+            connection.scalar(select(func.min(PackedHourRow.hour_us))),
+        )
+    return min((one for one in found if one is not None), default=None)
+
+
+def _newest_us(database: Database, clock: Literal["process", "wall"]) -> int | None:
+    with database.reading() as connection:
+        if clock == "wall":
+            newest = select(AuditRow.time_us).order_by(AuditRow.id.desc()).limit(1)
+            return connection.scalar(newest)
+        lasts = newest_in_table().subquery()
+        found = [
+            connection.scalar(select(func.max(lasts.c.time_us))),
+            connection.scalar(select(func.max(AlarmTransitionRow.time_us))),
+        ]
+        if (hour_us := connection.scalar(select(func.max(PackedHourRow.hour_us)))) is not None:
+            last = select(func.max(PackedHourRow.last_us)).where(PackedHourRow.hour_us == hour_us)
+            found.append(connection.scalar(last))
+    return max((one for one in found if one is not None), default=None)
+
+
+def _compute(
+    connection: Connection, database: Database, channel_ids: list[int], hour_us: int
+) -> list[int]:
+    """Compute the rollups of an hour of the first of some channels; which ones."""
+    taken, found = hours.read(connection, database, channel_ids, hour_us)
+    minutes = _columns(found, 60)
+    rollup_blocks.put(connection, taken, 60, hour_us, minutes, replaces_hour=True)
     connection.execute(
         delete(RollupRow).where(
-            RollupRow.channel_id == channel_id,
-            RollupRow.resolution_s > 1,
+            RollupRow.channel_id.in_(taken),
+            RollupRow.resolution_s.in_(LEVELS_S),
             RollupRow.time_us >= hour_us,
             RollupRow.time_us < hour_us + HOUR_US,
         )
     )
-    for resolution_s in LEVELS_S:
-        _insert(connection, channel_id, resolution_s, hour_us, hour_us + HOUR_US)
-    connection.execute(delete(StaleRollupRow).where(*this_hour))
-
-
-def _insert(
-    connection: Connection, channel_id: int, resolution_s: int, begin_us: int, end_us: int
-) -> None:
-    bucket_us = resolution_s * MINUTE_US // 60
-    found = buckets.of_raw(connection, channel_id, begin_us, end_us, bucket_us)
-    if found:
-        connection.execute(
-            insert(RollupRow),
-            [
-                dict(zip(_COLUMNS, (channel_id, resolution_s, *bucket), strict=True))
-                for bucket in found
-            ],
+    connection.execute(
+        delete(StaleRollupRow).where(
+            StaleRollupRow.channel_id.in_(taken), StaleRollupRow.hour_us == hour_us
         )
+    )
+    if found.channel_ids.size:
+        one = buckets.statistics(found.samples, HOUR_US, channel_ids=found.channel_ids)
+        columns = RollupColumns(
+            found.channel_ids[one.first],
+            np.full(one.first.size, HOUR_US // MICROSECONDS),
+            *one.buckets,
+        )
+        database.dialect.insert_rollups(connection, columns)
+    return taken
+
+
+def _columns(found: HourOfChannels, resolution_s: int) -> dict[int, Buckets]:
+    """Compute the buckets of an hour of channels, those of each channel apart."""
+    ids = found.channel_ids
+    if not ids.size:
+        return {}
+    first, every, _ = buckets.statistics(
+        found.samples, resolution_s * MICROSECONDS, channel_ids=ids
+    )
+    ids = ids[first]
+    begins = np.flatnonzero(np.diff(ids, prepend=-1))
+    ends = [*begins[1:].tolist(), ids.size]
+    return {
+        int(ids[begin]): every.taken(slice(begin, end))
+        for begin, end in zip(begins.tolist(), ends, strict=True)
+    }
 
 
 def _set_raw_horizon(connection: Connection, time_us: int) -> None:

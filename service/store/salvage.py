@@ -12,17 +12,18 @@ from sqlalchemy import JSON, Boolean, Column, Double, Integer, LargeBinary, Tabl
 from sqlalchemy.engine import URL
 
 from service.clock import HOUR_US
-from service.store import packed
+from service.store import packed, rollup_blocks
 from service.store.blocks import Block, BlockDamagedError, is_damaged, unpack
 from service.store.errors import StoreError
 from service.store.pages import PageRow, log_rows, page_rows
 from service.store.queue_file import set_aside
+from service.store.rollup_blocks import SPANS_US
 from service.store.sqlite import open_sqlite
-from service.store.tables import Base
+from service.store.tables import all_tables
 
 #: Rows of these tables come from their trees alone: a page that is not in use any more may hold a
 #: key as it was before it was revoked; what is stale is found again.
-_FROM_TREES_ONLY = {"api_keys", "browser_sessions", "stale_rollups"}
+_FROM_TREES_ONLY = {"api_keys", "browser_sessions", "stale_rollups", "store_identity"}
 #: Columns at the end of a table that rows from before a migration do not have.
 _LATER_COLUMNS = {"samples": 1}
 _PORTION = 10_000
@@ -32,16 +33,10 @@ _PORTION = 10_000
 class Salvaged:
     """What became of a damaged store.
 
-    Attributes
-    ----------
-    kept_as : pathlib.Path
-        Where the damaged file is now.
-    problem : str
-        What SQLite says of it.
-    rows : dict of int
-        Rows in the new file by table.
-    unnamed_channels : int
-        Channels whose name is lost: they are called ``channel-N`` of the asset ``salvaged``.
+    - ``problem``: what SQLite says of it.
+    - ``rows``: rows in the new file by table.
+    - ``unnamed_channels``: channels whose name is lost: they are called ``channel-N`` of the asset
+      ``salvaged``.
     """
 
     kept_as: Path
@@ -53,12 +48,8 @@ class Salvaged:
 def damage_of(path: Path) -> str | None:
     """Say what is wrong with an SQLite file, one line; None when it is whole.
 
-    It reads the whole file, which takes a while for a large one.
-
-    Raises
-    ------
-    StoreError
-        If the file cannot be opened.
+    It reads the whole file, which takes a while for a large one. Raises `StoreError` if the file
+    cannot be opened.
     """
     if not path.is_file():
         raise StoreError(f"store {path}: there is no such file")
@@ -74,19 +65,9 @@ def damage_of(path: Path) -> str | None:
 def salvage_store(path: Path, problem: str) -> Salvaged:
     """Put what can be read of a damaged store into a new file in its place; keep the damaged one.
 
-    No one else may have the file open.
+    No one else may have the file open. Raises `StoreError` if the new file cannot be made.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-        The store's SQLite file.
-    problem : str
-        What is wrong with it, see `damage_of`.
-
-    Raises
-    ------
-    StoreError
-        If the new file cannot be made.
+    - ``problem``: what is wrong with it, see `damage_of`.
     """
     new = path.with_name(f"{path.stem}-salvaged{path.suffix}")
     for companion in ("", "-wal", "-shm"):
@@ -102,7 +83,7 @@ def salvage_store(path: Path, problem: str) -> Salvaged:
             target.execute("COMMIT")
             rows = {
                 table.name: int(target.execute(f"SELECT COUNT(*) FROM {table.name}").fetchone()[0])
-                for table in Base.metadata.sorted_tables
+                for table in all_tables().sorted_tables
             }
     except (sqlite3.Error, OSError) as error:
         raise StoreError(f"store {new}: cannot be written ({error})") from error
@@ -118,7 +99,7 @@ def _copy_trees(path: Path, target: sqlite3.Connection) -> None:
     except sqlite3.Error:
         return
     with contextlib.closing(source):
-        for table in Base.metadata.sorted_tables:
+        for table in all_tables().sorted_tables:
             names = [column.name for column in table.columns]
             with contextlib.suppress(sqlite3.Error):  # an earlier version may have made the file
                 made = {row[1] for row in source.execute(f"PRAGMA table_info({table.name})")}
@@ -139,7 +120,7 @@ def _copy_pages(path: Path, target: sqlite3.Connection) -> None:
     """Copy what no tree leads to any more, table by table, as its rows look."""
     shapes = [
         _Shape(table, target)
-        for table in Base.metadata.sorted_tables
+        for table in all_tables().sorted_tables
         if table.name not in _FROM_TREES_ONLY
     ]
     waiting: dict[str, list[tuple[Any, ...]]] = {shape.table.name: [] for shape in shapes}
@@ -204,7 +185,7 @@ class _Shape:
 
 
 def _fits(column: "Column[Any]") -> Callable[[object], bool]:
-    """Tell what values a column can have."""
+    """Give the values that a column can have."""
     kind = column.type
 
     def fits(value: object) -> bool:
@@ -247,6 +228,14 @@ def _makes_sense(table: str, values: list[Any]) -> bool:
             and 0 <= hour_us <= first_us <= last_us < hour_us + HOUR_US
             and position >= 0
             and count > 0
+        )
+    if table == "rollup_blocks":
+        channel_id, resolution_s, begin_us, codec, crc, data = values
+        return bool(
+            channel_id > 0
+            and begin_us >= 0
+            and resolution_s in SPANS_US
+            and not is_damaged(Block(codec, crc, data))
         )
     if table in ("retention_marks", "deliveries"):
         return (values[0] in ("process", "wall")) == (table == "retention_marks")
@@ -291,12 +280,38 @@ def _join_hours(target: sqlite3.Connection) -> None:
     target.execute("DELETE FROM sample_blocks WHERE id NOT IN (SELECT block_id FROM packed_hours)")
 
 
+def _leave_packed_rollups(target: sqlite3.Connection) -> None:
+    """Remove damaged blocks of rollups, and rows of what is in a whole one.
+
+    A free page may still hold the rows that an earlier version left.
+    """
+    query = "SELECT channel_id, resolution_s, begin_us, codec, crc, data FROM rollup_blocks"
+    for *key, codec, crc, data in target.execute(query).fetchall():
+        channel_id, resolution_s, begin_us = key
+        try:
+            found = rollup_blocks.unpack(Block(codec, crc, data), resolution_s, begin_us)
+        except (BlockDamagedError, StoreError):
+            where = "channel_id = ? AND resolution_s = ? AND begin_us = ?"
+            target.execute(f"DELETE FROM rollup_blocks WHERE {where}", key)
+            continue
+        for row_s in (1,) if resolution_s == 1 else (60, 600):
+            row_us = row_s * 1_000_000
+            target.executemany(
+                "DELETE FROM rollups WHERE channel_id = ? AND resolution_s = ? AND time_us = ?",
+                [
+                    (channel_id, row_s, time_us)
+                    for time_us in sorted({one - one % row_us for one in found.times_us.tolist()})
+                ],
+            )
+
+
 def _complete(target: sqlite3.Connection) -> int:
     """Make up for what is missing; returns how many channels have lost their names."""
     unnamed = target.execute(
         "INSERT INTO channels (id, asset, name) "
         "SELECT channel_id, 'salvaged', 'channel-' || channel_id FROM "
-        "(SELECT channel_id FROM samples UNION SELECT channel_id FROM packed_hours) "
+        "(SELECT channel_id FROM samples UNION SELECT channel_id FROM packed_hours "
+        "UNION SELECT channel_id FROM rollup_blocks) "
         "WHERE channel_id NOT IN (SELECT id FROM channels)"
     ).rowcount
     blocks = target.execute("SELECT id, codec, crc, data FROM sample_blocks")
@@ -304,6 +319,7 @@ def _complete(target: sqlite3.Connection) -> int:
     target.executemany("DELETE FROM sample_blocks WHERE id = ?", broken)
     target.execute("DELETE FROM packed_hours WHERE block_id NOT IN (SELECT id FROM sample_blocks)")
     _join_hours(target)
+    _leave_packed_rollups(target)
     # Rollups are computed again where there are samples.
     target.execute(
         "INSERT OR IGNORE INTO stale_rollups (channel_id, hour_us) "

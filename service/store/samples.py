@@ -2,23 +2,34 @@
 
 import math
 from collections.abc import Collection, Iterable, Sequence
+from contextlib import AbstractContextManager
 from operator import itemgetter
 from typing import Any, NoReturn
 
 from sqlalchemy import Connection, Row, func, insert, select
+from sqlalchemy.exc import IntegrityError
 
 from adapters.samples import Quality, Sample, is_bad, is_good
 from service.clock import HOUR_US
 from service.store import packed
-from service.store.database import PATIENCE_S, Database, SampleColumns, chosen
+from service.store.database import (
+    PATIENCE_S,
+    AloneNeededError,
+    Database,
+    SampleColumns,
+    chosen,
+    require_alone,
+)
 from service.store.errors import StoreUnavailableError
 from service.store.merging import merged
-from service.store.packing import make_room
+from service.store.packing import merge_late
 from service.store.part import StorePart, rows_of
 from service.store.records import StoredSample, WriteCounts
 from service.store.tables import ChannelRow, RawHorizonRow, SampleRow
 
+_CHANNEL_IDS = "bearing_twin_channel_ids"
 _LONG = 2**63
+_LATER_US = _LONG - 1
 _BYTES = frozenset(range(256))
 
 
@@ -27,30 +38,19 @@ class Samples(StorePart):
 
     def __init__(self, database: Database) -> None:
         super().__init__(database)
-        self._ids: dict[tuple[str, str], int] = {}
         self._kept_from_us: int | None = None
 
     def write(self, samples: Collection[Sample], patience_s: float = PATIENCE_S) -> WriteCounts:
         """Store a batch in one transaction; when this returns, it is on the disk.
 
-        The first good value of a channel and time wins. A good one replaces a bad or uncertain
-        one of the same time; anything else that is sent again is a duplicate. What is older than
-        the raw samples that are kept (`kept_from_us`) is not stored and in neither count. A value
-        that is not a finite number is stored as none, and then its quality cannot be good.
-
-        Parameters
-        ----------
-        samples : collection of Sample
-            In any order, of any assets.
-        patience_s : float
-            Wall seconds to wait for other writers.
-
-        Raises
-        ------
-        ValueError
-            If a time is outside 0 to 2**63 - 1 microseconds or a quality outside 0 to 255.
-        StoreUnavailableError
-            If the store cannot take them now; nothing of the batch is stored then.
+        The first good value of a channel and time wins. A good one replaces a bad or uncertain one
+        of the same time; anything else that is sent again is a duplicate. What is older than the
+        raw samples that are kept (`kept_from_us`) is not stored and in neither count. A value that
+        is not a finite number is stored as none, and then its quality cannot be good.
+        ``patience_s``: wall seconds to wait for other writers. Raises `ValueError` if a time is
+        outside 0 to 2**63 - 1 microseconds or a quality outside 0 to 255. Raises
+        `StoreUnavailableError` if the store cannot take them now; nothing of the batch is stored
+        then.
         """
         if not samples:
             return WriteCounts(0, 0)
@@ -66,31 +66,56 @@ class Samples(StorePart):
         ):
             _refuse(samples)
         cleaned = _cleaned(values, qualities)
-        with self._database.writing(patience_s) as connection:
-            ids = self._ids
+        names = list(zip(assets, channels, strict=True))
+        columns = SampleColumns((), times_us, *cleaned, received_us)
+        try:
+            return self._write(self._database.writing_samples(patience_s), names, columns)
+        except AloneNeededError:  # a new channel, or a month that begins
+            return self._write(self._database.writing(patience_s), names, columns)
+
+    def _write(
+        self,
+        turn: AbstractContextManager[Connection],
+        names: Sequence[tuple[str, str]],
+        columns: SampleColumns,
+    ) -> WriteCounts:
+        dialect = self._database.dialect
+        with turn as connection:
+            # Of the store that this connection leads to: the next one may lead to another.
+            ids: dict[tuple[str, str], int] = connection.info.setdefault(_CHANNEL_IDS, {})
+            made: dict[tuple[str, str], int] = {}
             try:
-                numbers = [ids[name] for name in zip(assets, channels, strict=True)]
+                numbers = [ids[name] for name in names]
             except KeyError:
-                missing = set(zip(assets, channels, strict=True)) - ids.keys()
-                ids = ids | {name: _make_channel(connection, *name) for name in missing}
-                numbers = [ids[name] for name in zip(assets, channels, strict=True)]
-            columns = SampleColumns(numbers, times_us, *cleaned, received_us)
+                made = _numbers(connection, set(names) - ids.keys())
+                numbers = [ids[name] if name in ids else made[name] for name in names]
+            columns = columns._replace(channel_ids=numbers)
             horizon_us = self._kept_from_us = raw_horizon_us(connection)
-            if first_us < horizon_us:
+            if min(columns.times_us) < horizon_us:
                 columns = chosen(columns, [time_us >= horizon_us for time_us in columns.times_us])
-            stored, known = 0, 0
-            if columns.times_us:
-                columns, known = make_room(connection, self._database, columns)
-            if columns.times_us:
-                stored = self._database.dialect.upsert_samples(connection, columns)
-            if columns.times_us:
-                self._database.dialect.mark_stale(connection, _hours(columns))
+            stored = 0
+            try:
+                if columns.times_us:
+                    hours = _hours(columns)
+                    locked = dialect.lock_hours(connection, hours)
+                    left, stored, changed = merge_late(connection, columns)
+                    if left.times_us:
+                        stored += dialect.upsert_samples(connection, left)
+                    needed = hours if left is columns else _hours(left) | changed
+                    dialect.mark_stale(connection, needed, locked)
+            except IntegrityError as error:
+                # What is remembered of the store is not true; the samples are, and wait.
+                connection.info.clear()
+                raise StoreUnavailableError(
+                    f"{self._database.name}: its tables do not fit together "
+                    f"({' '.join(str(error.orig).split())})"
+                ) from error
         # Only now: had the transaction failed, the channels would not be there.
-        self._ids = ids
-        return WriteCounts(stored, len(columns.times_us) - stored + known)
+        ids |= made
+        return WriteCounts(stored, len(columns.times_us) - stored)
 
     def keep_from(self, time_us: int) -> None:
-        """Take note that raw samples before a time are not kept any more."""
+        """Record that raw samples before a time are not kept any more."""
         self._kept_from_us = time_us
 
     def channels(self, asset: str) -> list[str]:
@@ -109,18 +134,8 @@ class Samples(StorePart):
     ) -> list[StoredSample]:
         """Raw samples, ascending by time, then by channel name.
 
-        Parameters
-        ----------
-        asset : str
-            Asset to read.
-        channels : sequence of str or None
-            Which channels; None for all. Unknown ones have no samples.
-        start_us, end_us : int
-            UTC microseconds; the start is included, the end is not.
-        limit : int
-            Samples at most.
-        after : tuple of int and str, optional
-            Time and channel of the last sample of the page before: go on behind it.
+        - ``start_us``, ``end_us``: UTC microseconds; the start is included, the end is not.
+        - ``after``: time and channel of the last sample of the page before: go on behind it.
         """
         with self._database.reading() as connection:
             ids = channel_ids(connection, asset, channels)
@@ -172,21 +187,8 @@ class Samples(StorePart):
     ) -> tuple[int, int, int] | None:
         """Where in a span the samples lie, and how many the fullest channel has.
 
-        Parameters
-        ----------
-        asset : str
-            Asset to look at.
-        channels : sequence of str or None
-            Which channels; None for all.
-        start_us, end_us : int
-            UTC microseconds; the start is included, the end is not.
-        count_max : int
-            Count no further than this.
-
-        Returns
-        -------
-        tuple of int or None
-            Time of the first and of the last sample, and the count; None without any sample.
+        ``start_us``, ``end_us``: UTC microseconds; the start is included, the end is not. Returns
+        time of the first and of the last sample, and the count; None without any sample.
         """
         firsts, lasts, counts = [], [], []
         with self._database.reading() as connection:
@@ -246,11 +248,13 @@ class Samples(StorePart):
                 counts[asset, name] = min(total, count_max)
         return counts
 
-    def open_ends(self, assets: Collection[str] | None = None) -> dict[tuple[str, str], int]:
+    def open_ends(
+        self, assets: Collection[str] | None = None, before_us: int = _LATER_US
+    ) -> dict[tuple[str, str], int]:
         """Find the channels, of some assets or all, whose newest sample is not bad, and its time.
 
         At the start of a service these are the channels that were recorded when the last run
-        ended.
+        ended. Samples from `before_us` on are not looked at.
         """
         ends = {}
         with self._database.reading() as connection:
@@ -260,15 +264,17 @@ class Samples(StorePart):
             else:
                 channels = rows_of(connection, ChannelRow.asset, query, assets)
             for asset, name, channel_id in channels:
-                newest = _newest(connection, channel_id)
+                newest = _newest(connection, channel_id, before_us)
                 if newest is not None and not is_bad(newest[2]):
                     ends[asset, name] = newest[0]
         return ends
 
-    def with_history(self, assets: Collection[str]) -> set[str]:
-        """Those of some assets of which any sample was ever stored."""
+    def with_history(self, assets: Collection[str] | None = None) -> set[str]:
+        """Those of some assets, or of all, of which any sample was ever stored."""
         with self._database.reading() as connection:
             key = ChannelRow.asset
+            if assets is None:
+                return set(connection.scalars(select(key).distinct()))
             return {row[0] for row in rows_of(connection, key, select(key).distinct(), assets)}
 
     def first_time_us(self, asset: str) -> int | None:
@@ -312,10 +318,12 @@ def last_time_us(connection: Connection, channel_id: int) -> int | None:
     return None if newest is None else newest[0]
 
 
-def _newest(connection: Connection, channel_id: int) -> packed.Row | None:
+def _newest(
+    connection: Connection, channel_id: int, before_us: int = _LATER_US
+) -> packed.Row | None:
     query = (
         select(SampleRow.time_us, SampleRow.value, SampleRow.quality, SampleRow.received_us)
-        .where(SampleRow.channel_id == channel_id)
+        .where(SampleRow.channel_id == channel_id, SampleRow.time_us < before_us)
         .order_by(SampleRow.time_us.desc())
         .limit(1)
     )
@@ -324,18 +332,24 @@ def _newest(connection: Connection, channel_id: int) -> packed.Row | None:
         newest = (time_us, value, quality, received_us)
     # A damaged page may give a row without a time.
     after_us = newest[0] if newest and newest[0] else -1
-    return packed.newest(connection, channel_id, after_us) or newest
+    return packed.newest(connection, channel_id, after_us, before_us) or newest
 
 
-def _make_channel(connection: Connection, asset: str, name: str) -> int:
-    query = select(ChannelRow.id).where(ChannelRow.asset == asset, ChannelRow.name == name)
-    known = connection.scalar(query)
-    if known is not None:
-        return known
+def _numbers(connection: Connection, names: set[tuple[str, str]]) -> dict[tuple[str, str], int]:
+    """Numbers of channels; those that have none yet get one."""
+    assets = {asset for asset, _ in names}
+    query = select(ChannelRow.asset, ChannelRow.name, ChannelRow.id)
+    rows = rows_of(connection, ChannelRow.asset, query, assets)
+    numbers = {(asset, name): number for asset, name, number in rows if (asset, name) in names}
     # No one else writes meanwhile: the connection holds the right to.
-    return connection.execute(
-        insert(ChannelRow).values(asset=asset, name=name).returning(ChannelRow.id)
-    ).scalar_one()
+    missing = sorted(names - numbers.keys())
+    if missing:
+        require_alone(connection)
+    for asset, name in missing:
+        numbers[asset, name] = connection.execute(
+            insert(ChannelRow).values(asset=asset, name=name).returning(ChannelRow.id)
+        ).scalar_one()
+    return numbers
 
 
 def _cleaned(

@@ -35,20 +35,11 @@ _SUMMARY: Final = tuple(
 class SisterRecord:
     """What an asset's machine has shown in all that it has run.
 
-    Attributes
-    ----------
-    asset, family
-        Whose machine, and of which family.
-    machine
-        What its model is built of; see `service.site.machines.machine.Machine.to_dict`.
-    until_us
-        End of the data behind it, process time.
-    minutes
-        How many minute rows are behind it.
-    load_n_max, speed_rpm_max
-        Heaviest load and highest speed of these rows.
-    document
-        ``posterior`` and ``rows``, as in a population file.
+    - ``machine``: what its model is built of; see `service.site.machines.machine.Machine.to_dict`.
+    - ``until_us``: end of the data behind it, process time.
+    - ``minutes``: how many minute rows are behind it.
+    - ``load_n_max``, ``speed_rpm_max``: heaviest load and highest speed of these rows.
+    - ``document``: ``posterior`` and ``rows``, as in a population file.
     """
 
     asset: str
@@ -71,13 +62,7 @@ class SisterRecords(StorePart):
     """One record per asset; a new one replaces the old one."""
 
     def put(self, record: SisterRecord) -> None:
-        """Keep a record.
-
-        Raises
-        ------
-        NotOwnerError
-            If another cell owns the asset.
-        """
+        """Keep a record. Raises `NotOwnerError` if another cell owns the asset."""
         with self._database.writing(_PATIENCE_S) as connection:
             self._require(connection, record.asset)
             connection.execute(delete(SisterRecordRow).where(SisterRecordRow.asset == record.asset))
@@ -86,10 +71,7 @@ class SisterRecords(StorePart):
     def remove(self, asset: str) -> None:
         """Forget what an asset teaches: it belongs to no family any more.
 
-        Raises
-        ------
-        NotOwnerError
-            If another cell owns the asset.
+        Raises `NotOwnerError` if another cell owns the asset.
         """
         with self._database.writing(_PATIENCE_S) as connection:
             self._require(connection, asset)
@@ -104,12 +86,7 @@ class SisterRecords(StorePart):
     def of_family(self, family: str, without: str) -> list[SisterRecord]:
         """Give the records of a family, those of the heaviest loads first, `MOST_SISTERS` at most.
 
-        Parameters
-        ----------
-        family
-            Its name.
-        without
-            The asset that asks: no machine is a sister of itself.
+        ``without``: the asset that asks: no machine is a sister of itself.
         """
         query = _family(select(*_SUMMARY, SisterRecordRow.document), family, without)
         with self._database.reading() as connection:

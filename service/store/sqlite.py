@@ -1,13 +1,16 @@
 """SQLite: one file, readers never wait, a commit is on the disk when it returns."""
 
 import contextlib
+import os
 import sqlite3
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from operator import itemgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
+import numpy as np
+from numpy.typing import NDArray
 from sqlalchemy import Connection, Engine, create_engine, event
 from sqlalchemy.engine import URL
 from sqlalchemy.exc import DBAPIError
@@ -15,19 +18,29 @@ from sqlalchemy.pool import ConnectionPoolEntry
 
 from adapters.samples import Quality
 from service.files import make_private_file, make_private_folder
+from service.store.blocks import UNKNOWN_US, ChannelSamples
 from service.store.copies import copy_sqlite
 from service.store.database import (
     PATIENCE_S,
     WRITES,
     Database,
     Dialect,
+    Hours,
+    RollupColumns,
     SampleColumns,
     damaged,
     is_damage,
 )
-from service.store.errors import StoreDamagedError, StoreError, opening_error
+from service.store.errors import (
+    StoreDamagedError,
+    StoreDoubtedError,
+    StoreError,
+    opening_error,
+)
 from service.store.locking import who_uses
-from service.store.migrations import is_current, upgrade
+from service.store.migrations import is_current, make_tables, upgrade
+
+_Number = TypeVar("_Number", np.int64, np.float64, np.uint16)
 
 #: The first good value of a time wins; a good one replaces one that is not; the rest changes
 #: nothing and is not counted as a change.
@@ -44,6 +57,10 @@ _ROWS = 1024
 #: Copies that upgrades of the tables have left.
 _KEPT_COPIES = 3
 _UPSERT_ONE = _UPSERT.format(_ROW)
+_INSERT_ROLLUPS = (
+    "INSERT INTO rollups (channel_id, resolution_s, time_us, mean, low, high, good, quality) "
+    "VALUES (?, ?, ?, ?, ?, ?, ?, ?)"
+)
 _MARK_STALE = "INSERT OR IGNORE INTO stale_rollups (channel_id, hour_us) VALUES (?, ?)"
 #: Of thousands of channels each has a page that it is being written to: the one connection that
 #: writes keeps them in memory (KiB), and copies them (pages of 4 KiB) into the file more rarely
@@ -56,12 +73,9 @@ _UPSERT_MANY = _UPSERT.format(", ".join([_ROW] * _ROWS))
 def open_sqlite(url: URL) -> Database:
     """Open the file, make it when it is new, and bring its tables up to date.
 
-    Raises
-    ------
-    StoreError
-        If the file cannot be used, is not ours or is damaged; one line that names it.
-    StoreUnavailableError
-        If it stays locked, or the disk is full: that may pass by itself.
+    Raises `StoreError` if the file cannot be used, is not ours or is damaged; one line that names
+    it. Raises `StoreUnavailableError` if it stays locked, or the disk is full: that may pass by
+    itself.
     """
     path = Path(url.database or "")
     try:
@@ -78,8 +92,11 @@ def open_sqlite(url: URL) -> Database:
             raw: Any = connection.connection.driver_connection
             raw.execute("PRAGMA journal_mode = WAL")
         if not is_current(engine):
-            _prepare_upgrade(path)
-            upgrade(engine)
+            if _has_tables(path):
+                _prepare_upgrade(path)
+                upgrade(engine)
+            else:
+                make_tables(engine)
         with engine.connect() as connection:
             connection.execution_options(**{WRITES: True}).begin().rollback()
     except (DBAPIError, sqlite3.Error) as error:
@@ -94,15 +111,41 @@ def open_sqlite(url: URL) -> Database:
     except StoreError as error:
         engine.dispose()
         raise type(error)(f"store {path}: {error}") from error
-    dialect = Dialect(_upsert_samples, _mark_stale, _with_patience)
-    return Database(engine, str(path), dialect, _writer(url))
+    dialect = Dialect(
+        _upsert_samples, _read_samples, _insert_rollups, _lock_hours, _mark_stale, _with_patience
+    )
+    return Database(engine, str(path), dialect, _writer(url), _require_same(path))
+
+
+def _require_same(path: Path) -> Callable[[], None]:
+    """Give what raises when the path names another file than now.
+
+    Connections stay with the file that they were opened on: what goes to it is lost.
+    """
+    place = path.stat()
+
+    def require() -> None:
+        try:
+            same = os.path.samestat(place, path.stat())
+        except FileNotFoundError:
+            same = False
+        if not same:
+            raise StoreDoubtedError(
+                f"store {path}: the file was removed or replaced while the service runs; nothing "
+                "is written until the service is started again"
+            )
+
+    return require
+
+
+def _has_tables(path: Path) -> bool:
+    with contextlib.closing(sqlite3.connect(path, timeout=PATIENCE_S)) as connection:
+        return connection.execute("SELECT 1 FROM sqlite_master").fetchone() is not None
 
 
 def _prepare_upgrade(path: Path) -> None:
     """Make sure that no older service runs on a store with tables, and keep a copy of it."""
     with contextlib.closing(sqlite3.connect(path, timeout=PATIENCE_S)) as connection:
-        if not connection.execute("SELECT 1 FROM sqlite_master").fetchone():
-            return
         (revision,) = connection.execute("SELECT version_num FROM alembic_version").fetchone()
     holder = who_uses(path)
     if holder is not None:
@@ -138,8 +181,56 @@ def _upsert_samples(connection: Connection, columns: SampleColumns) -> int:
     return changed
 
 
-def _mark_stale(connection: Connection, hours: Collection[tuple[int, int]]) -> None:
-    connection.exec_driver_sql(_MARK_STALE, list(hours))
+def _read_samples(
+    connection: Connection, channel_ids: Sequence[int], begin_us: int, end_us: int, count_max: int
+) -> tuple[NDArray[np.int64], ChannelSamples]:
+    numbers = ", ".join(map(str, channel_ids))
+    query = (
+        "SELECT channel_id, time_us, value, quality, received_us FROM samples "
+        f"WHERE channel_id IN ({numbers}) AND time_us >= ? AND time_us < ? "
+        "ORDER BY channel_id, time_us LIMIT ?"
+    )
+    result = connection.exec_driver_sql(query, (begin_us, end_us, count_max))
+    try:
+        rows = result.cursor.fetchall() if result.cursor else []  # without a step for each row
+    except sqlite3.Error as error:
+        raise DBAPIError.instance(query, None, error, sqlite3.Error) from error
+    finally:
+        result.close()
+    try:
+        return _column(rows, 0, np.int64), ChannelSamples(
+            _column(rows, 1, np.int64),
+            _column(rows, 2, np.float64),
+            _column(rows, 3, np.uint16),
+            _column(rows, 4, np.int64),
+        )
+    except (TypeError, ValueError, OverflowError) as error:  # what no program has stored
+        path = connection.engine.url.database or ""
+        raise StoreDamagedError(damaged(path, error)) from error
+
+
+def _column(rows: Sequence[Any], place: int, kind: type[_Number]) -> NDArray[_Number]:
+    try:
+        return np.fromiter(map(itemgetter(place), rows), kind, len(rows))
+    except TypeError:  # something is missing: a value, or the received time of an earlier version
+        missing = np.nan if kind is np.float64 else UNKNOWN_US
+        return np.array([missing if row[place] is None else row[place] for row in rows], kind)
+
+
+def _insert_rollups(connection: Connection, columns: RollupColumns) -> None:
+    lists = [column.tolist() for column in columns]
+    for place in range(3, 6):
+        lists[place] = [None if value != value else value for value in lists[place]]
+    connection.exec_driver_sql(_INSERT_ROLLUPS, list(zip(*lists, strict=True)))
+
+
+def _lock_hours(_connection: Connection, _hours: Hours) -> Hours:
+    return ()  # who writes is alone
+
+
+def _mark_stale(connection: Connection, hours: Hours, _locked: Hours) -> None:
+    if hours:
+        connection.exec_driver_sql(_MARK_STALE, list(hours))
 
 
 @contextmanager
@@ -193,7 +284,7 @@ def _engine(url: URL, pool_size: int, max_overflow: int) -> Engine:
 
 
 def _is_sqlite(path: Path) -> bool:
-    """Tell whether a file looks like one of SQLite, if only by the kind of its second page."""
+    """Whether a file looks like one of SQLite, if only by the kind of its second page."""
     with path.open("rb") as file:
         begin = file.read(16)
         if begin == b"SQLite format 3\0":

@@ -1,4 +1,8 @@
-"""The tables. Types are those that SQLite and PostgreSQL share."""
+"""The tables. Types are those that SQLite and PostgreSQL share.
+
+What is special to PostgreSQL, its partitions and the conditions of its indexes, stands in the
+migrations alone: here it would load the dialect of PostgreSQL in every process.
+"""
 
 from datetime import datetime
 from typing import Any, ClassVar
@@ -6,7 +10,9 @@ from typing import Any, ClassVar
 from sqlalchemy import (
     JSON,
     BigInteger,
+    ColumnElement,
     DateTime,
+    Dialect,
     Double,
     ForeignKey,
     Index,
@@ -14,15 +20,37 @@ from sqlalchemy import (
     LargeBinary,
     MetaData,
     SmallInteger,
+    String,
+    TypeDecorator,
     false,
     text,
+    type_coerce,
 )
-from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
+from sqlalchemy.orm import DeclarativeBase, InstrumentedAttribute, Mapped, mapped_column
 
+from service.feature_folders import modules
 from service.store.records import JsonDocument
 
-#: Key of a row that the database numbers by itself; SQLite only does so for plain INTEGER.
-_Serial = BigInteger().with_variant(Integer(), "sqlite")
+#: Key of a row that the database numbers; SQLite only does so for plain INTEGER.
+Serial = BigInteger().with_variant(Integer(), "sqlite")
+
+
+class _Names(TypeDecorator[tuple[str, ...]]):
+    """Ids of assets as one text, in which each can be found: ``,a,b,``; null for none."""
+
+    impl = String
+    cache_ok = True
+
+    def process_bind_param(self, value: tuple[str, ...] | None, dialect: Dialect) -> str | None:
+        return f",{','.join(value)}," if value else None
+
+    def process_result_value(self, value: str | None, dialect: Dialect) -> tuple[str, ...]:
+        return tuple(value.strip(",").split(",")) if value else ()
+
+
+def names(column: InstrumentedAttribute[tuple[str, ...]], name: str) -> ColumnElement[bool]:
+    """Whether a column of ids has this one."""
+    return type_coerce(column, String).contains(f",{name},", autoescape=True)
 
 
 class Base(DeclarativeBase):
@@ -43,6 +71,13 @@ class Base(DeclarativeBase):
     }
 
 
+def all_tables() -> MetaData:
+    """The tables of the core, and those of all features."""
+    for _ in modules("tables"):
+        pass  # a module's tables are there as soon as it is loaded
+    return Base.metadata
+
+
 class ChannelRow(Base):
     """One channel of one asset; samples point to it by a small number."""
 
@@ -57,12 +92,12 @@ class ChannelRow(Base):
 class SampleRow(Base):
     """One raw sample; a time can be sent again and is still stored once.
 
-    Nobody knows when it was received if an earlier version stored it.
+    The received time is unknown if an earlier version stored it.
     The channel is not compared with the table of channels, see migrations 0003 and 0005.
     """
 
     __tablename__ = "samples"
-    __table_args__ = ({"sqlite_with_rowid": False, "postgresql_partition_by": "RANGE (time_us)"},)
+    __table_args__ = ({"sqlite_with_rowid": False},)
 
     channel_id: Mapped[int] = mapped_column(Integer, primary_key=True, autoincrement=False)
     time_us: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
@@ -76,7 +111,7 @@ class SampleBlockRow(Base):
 
     __tablename__ = "sample_blocks"
 
-    id: Mapped[int] = mapped_column(_Serial, primary_key=True)
+    id: Mapped[int] = mapped_column(Serial, primary_key=True)
     codec: Mapped[int] = mapped_column(SmallInteger)
     crc: Mapped[int]
     data: Mapped[bytes] = mapped_column(LargeBinary)
@@ -102,7 +137,10 @@ class PackedHourRow(Base):
 
 
 class RollupRow(Base):
-    """Statistics of one bucket of one channel over its good samples."""
+    """Statistics of one bucket of one channel over its good samples.
+
+    Hours; an earlier version left seconds, minutes and ten minutes as well.
+    """
 
     __tablename__ = "rollups"
     __table_args__ = ({"sqlite_with_rowid": False},)
@@ -115,6 +153,20 @@ class RollupRow(Base):
     high: Mapped[float | None]
     good: Mapped[int] = mapped_column(Integer)
     quality: Mapped[int] = mapped_column(SmallInteger)
+
+
+class RollupBlockRow(Base):
+    """Compressed minutes or seconds of a channel, see `service.store.rollup_blocks`."""
+
+    __tablename__ = "rollup_blocks"
+    __table_args__ = ({"sqlite_with_rowid": False},)
+
+    channel_id: Mapped[int] = mapped_column(Integer, primary_key=True, autoincrement=False)
+    resolution_s: Mapped[int] = mapped_column(SmallInteger, primary_key=True, autoincrement=False)
+    begin_us: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    codec: Mapped[int] = mapped_column(SmallInteger)
+    crc: Mapped[int]
+    data: Mapped[bytes] = mapped_column(LargeBinary)
 
 
 class StaleRollupRow(Base):
@@ -155,7 +207,6 @@ class ModelVersionRow(Base):
             "asset",
             unique=True,
             sqlite_where=text("status = 'active'"),
-            postgresql_where=text("status = 'active'"),
         ),
     )
 
@@ -173,7 +224,7 @@ class ActivationRow(Base):
     __tablename__ = "model_activations"
     __table_args__ = (Index("ix_model_activations_asset_id", "asset", "id"),)
 
-    id: Mapped[int] = mapped_column(_Serial, primary_key=True)
+    id: Mapped[int] = mapped_column(Serial, primary_key=True)
     asset: Mapped[str]
     version: Mapped[int]
     at_us: Mapped[int]
@@ -191,7 +242,6 @@ class JobRow(Base):
             "asset",
             unique=True,
             sqlite_where=text("status IN ('queued', 'running')"),
-            postgresql_where=text("status IN ('queued', 'running')"),
         ),
         Index("uq_jobs_asset_idempotency_key", "asset", "idempotency_key", unique=True),
     )
@@ -210,17 +260,6 @@ class JobRow(Base):
     request: Mapped[JsonDocument]
     idempotency_key: Mapped[str | None]
     attempts: Mapped[int]
-
-
-class FleetRunRow(Base):
-    """One run over a fleet, with how far it is and what it costs."""
-
-    __tablename__ = "fleet_runs"
-    __table_args__ = (Index("ix_fleet_runs_began_us", "began_us"),)
-
-    id: Mapped[str] = mapped_column(primary_key=True)
-    began_us: Mapped[int]
-    document: Mapped[JsonDocument]
 
 
 class SisterRecordRow(Base):
@@ -261,7 +300,6 @@ class AlarmRow(Base):
             "level",
             unique=True,
             sqlite_where=text("state <> 'NORM'"),
-            postgresql_where=text("state <> 'NORM'"),
         ),
     )
 
@@ -292,6 +330,7 @@ class AlarmRow(Base):
     comment: Mapped[str | None]
     peak_value: Mapped[float | None]
     peak_at_us: Mapped[int | None]
+    assets: Mapped[tuple[str, ...]] = mapped_column(_Names, nullable=True)
 
 
 class AlarmTransitionRow(Base):
@@ -303,7 +342,7 @@ class AlarmTransitionRow(Base):
         Index("ix_alarm_journal_alarm_id", "alarm_id"),
     )
 
-    id: Mapped[int] = mapped_column(_Serial, primary_key=True)
+    id: Mapped[int] = mapped_column(Serial, primary_key=True)
     alarm_id: Mapped[str | None] = mapped_column(ForeignKey("alarms.id"))
     asset: Mapped[str]
     kind: Mapped[str]
@@ -322,6 +361,7 @@ class AlarmTransitionRow(Base):
     peak_value: Mapped[float | None]
     peak_at_us: Mapped[int | None]
     duration_s: Mapped[float | None]
+    assets: Mapped[tuple[str, ...]] = mapped_column(_Names, nullable=True)
 
 
 class DeliveryRow(Base):
@@ -333,30 +373,22 @@ class DeliveryRow(Base):
     number: Mapped[int]
 
 
-class TellingRow(Base):
-    """What a notification has said of an alarm that is not over; see `service.store.tellings`."""
+class RefusedChangeRow(Base):
+    """A change that the store did not take; see `service.store.refused_changes`."""
 
-    __tablename__ = "tellings"
-    __table_args__ = (Index("ix_tellings_asset", "asset"),)
+    __tablename__ = "refused_changes"
 
-    notification: Mapped[str] = mapped_column(primary_key=True)
-    alarm_id: Mapped[str] = mapped_column(primary_key=True)
-    asset: Mapped[str]
-    document: Mapped[JsonDocument]
-
-
-class SilenceRow(Base):
-    """A time in which nobody is told of alarms; see `service.store.silences`."""
-
-    __tablename__ = "silences"
-
-    id: Mapped[str] = mapped_column(primary_key=True)
-    ends_us: Mapped[int]
-    document: Mapped[JsonDocument]
+    id: Mapped[int] = mapped_column(Serial, primary_key=True)
+    time_us: Mapped[int]
+    sender: Mapped[str]
+    assets: Mapped[str]
+    summary: Mapped[str]
+    reason: Mapped[str]
+    document: Mapped[str]
 
 
 class AlarmSettingRow(Base):
-    """A change of an alarm's settings; see `service.store.alarm_settings`."""
+    """A change of an alarm's settings; see `service.store.alarm_overlays`."""
 
     __tablename__ = "alarm_settings"
     __table_args__ = (
@@ -364,7 +396,7 @@ class AlarmSettingRow(Base):
         Index("ix_alarm_settings_asset", "asset"),
     )
 
-    id: Mapped[int] = mapped_column(_Serial, primary_key=True)
+    id: Mapped[int] = mapped_column(Serial, primary_key=True)
     revision: Mapped[int]
     asset: Mapped[str]
     kind: Mapped[str]
@@ -375,33 +407,6 @@ class AlarmSettingRow(Base):
     who: Mapped[str]
     at_us: Mapped[int]
     comment: Mapped[str]
-
-
-class RunRow(Base):
-    """A run of a machine, from its start to standstill; see `service.store.runs`."""
-
-    __tablename__ = "runs"
-
-    asset: Mapped[str] = mapped_column(primary_key=True)
-    id: Mapped[str] = mapped_column(primary_key=True)
-    start_us: Mapped[int]
-    end_us: Mapped[int | None]
-    ended: Mapped[str]
-    name: Mapped[str]
-    named_by: Mapped[str]
-
-
-class AnnotationRow(Base):
-    """What somebody noted at a moment of an asset's history."""
-
-    __tablename__ = "annotations"
-    __table_args__ = (Index("ix_annotations_asset_time_us", "asset", "time_us"),)
-
-    id: Mapped[str] = mapped_column(primary_key=True)
-    asset: Mapped[str]
-    time_us: Mapped[int]
-    text: Mapped[str]
-    who: Mapped[str]
 
 
 class CellRow(Base):
@@ -425,33 +430,11 @@ class PartitionRow(Base):
     owner: Mapped[str]
 
 
-class KeptForecastRow(Base):
-    """A forecast and what came of it, packed; see `service.store.kept_forecasts`."""
-
-    __tablename__ = "kept_forecasts"
-    __table_args__ = (
-        Index("ix_kept_forecasts_asset_id", "asset", "id"),
-        Index("ix_kept_forecasts_time_us", "time_us"),
-        Index(
-            "ix_kept_forecasts_due_us",
-            "due_us",
-            sqlite_where=text("due_us IS NOT NULL"),
-            postgresql_where=text("due_us IS NOT NULL"),
-        ),
-    )
-
-    id: Mapped[int] = mapped_column(_Serial, primary_key=True)
-    asset: Mapped[str]
-    time_us: Mapped[int]
-    model_version: Mapped[int]
-    reason: Mapped[str]
-    issued: Mapped[bytes] = mapped_column(LargeBinary)
-    outcome: Mapped[bytes | None] = mapped_column(LargeBinary)
-    due_us: Mapped[int | None]
-
-
 class ProvisionedAssetRow(Base):
-    """The table of an asset that is not in the configuration file, as JSON; None: removed."""
+    """The table of an asset that is not in the configuration file, as JSON; None: removed.
+
+    Removed: when it was removed the last time. Added: when it was added again after that.
+    """
 
     __tablename__ = "provisioned_assets"
     __table_args__ = (Index("ix_provisioned_assets_revision", "revision"),)
@@ -460,50 +443,16 @@ class ProvisionedAssetRow(Base):
     document: Mapped[str | None]
     revision: Mapped[int]
     changed_us: Mapped[int]
+    removed_us: Mapped[int | None]
+    added_us: Mapped[int | None]
 
 
-class ApiKeyRow(Base):
-    """An API key: only its hash is kept.
+class StoreIdentityRow(Base):
+    """Which store this is; one row, another after each restore, see `service.store.identity`."""
 
-    A key is 256 random bits, so a plain SHA-256 is enough: there is no dictionary to try.
-    """
+    __tablename__ = "store_identity"
 
-    __tablename__ = "api_keys"
-
-    id: Mapped[str] = mapped_column(primary_key=True)
-    prefix: Mapped[str]
-    sha256: Mapped[str] = mapped_column(unique=True)
-    role: Mapped[str]
-    label: Mapped[str] = mapped_column(server_default=text("''"))
-    created_us: Mapped[int]
-    expires_us: Mapped[int | None]
-    revoked_us: Mapped[int | None]
-
-
-class BrowserSessionRow(Base):
-    """A browser session; its cookie holds 256 random bits, of which only the hash is kept."""
-
-    __tablename__ = "browser_sessions"
-
-    id: Mapped[str] = mapped_column(primary_key=True)
-    sha256: Mapped[str] = mapped_column(unique=True)
-    key_id: Mapped[str] = mapped_column(ForeignKey("api_keys.id"))
-    created_us: Mapped[int]
-    expires_us: Mapped[int]
-
-
-class AuditRow(Base):
-    """The audit trail: one line per change that someone asked for.
-
-    The database changes none, and deletes none of the last year; see migrations 0004 and 0008.
-    """
-
-    __tablename__ = "audit"
-
-    id: Mapped[int] = mapped_column(_Serial, primary_key=True)
-    time_us: Mapped[int]
-    who: Mapped[str]
-    address: Mapped[str]
-    action: Mapped[str]
-    target: Mapped[str]
-    detail: Mapped[str]
+    id: Mapped[int] = mapped_column(SmallInteger, primary_key=True, autoincrement=False)
+    incarnation: Mapped[str]
+    origin: Mapped[str]
+    since_us: Mapped[int]

@@ -32,22 +32,8 @@ def write_csv(file: BinaryIO, store: Store, asset: str, place: ExportPosition) -
 def write_parquet(file: Any, store: Store, asset: str, place: ExportPosition) -> int:
     """Write the rows of a query as Parquet, with units in the metadata of the schema.
 
-    Parameters
-    ----------
-    file
-        A binary file to write to; it need not be seekable.
-    store, asset, place
-        What to write.
-
-    Returns
-    -------
-    int
-        How many rows.
-
-    Raises
-    ------
-    TableFileError
-        If pyarrow is not installed.
+    ``file``: a binary file to write to; it need not be seekable. Returns how many rows. Raises
+    `TableFileError` if pyarrow is not installed.
     """
     writer = ParquetPages(file, asset, place, place.channels or store.samples.channels(asset))
     with writer:
@@ -57,19 +43,8 @@ def write_parquet(file: Any, store: Store, asset: str, place: ExportPosition) ->
 class ParquetPages:
     """A Parquet file that is written page by page, with units in the metadata of the schema.
 
-    Parameters
-    ----------
-    file
-        A binary file to write to; it need not be seekable.
-    asset, place
-        What is written.
-    channels : sequence of str
-        Names of the channels in it.
-
-    Raises
-    ------
-    TableFileError
-        If pyarrow is not installed.
+    ``file``: a binary file to write to; it need not be seekable. Raises `TableFileError` if pyarrow
+    is not installed.
     """
 
     def __init__(
@@ -100,8 +75,8 @@ class ParquetPages:
     def write(self, rows: Sequence[StoredSample | Rollup]) -> int:
         """Write a page; returns how many rows."""
         pa, schema = self._pa, self._schema
-        times = {"time": "time_us", "received": "received_us"}
-        names = [times.get(name, name) for name in schema.names]
+        attributes = {"time": "time_us", "received": "received_us", "count": "good"}
+        names = [attributes.get(name, name) for name in schema.names]
         columns = [[getattr(row, name) for row in rows] for name in names]
         arrays = [pa.array(column, one.type) for column, one in zip(columns, schema, strict=True)]
         self._writer.write_table(pa.Table.from_arrays(arrays, schema=schema))
@@ -115,15 +90,8 @@ class ParquetPages:
 def export_file(path: Path, store: Store, asset: str, place: ExportPosition) -> int:
     """Write a query to a file: CSV, Parquet or MDF 4 by its suffix; complete, or not at all.
 
-    Returns
-    -------
-    int
-        How many rows.
-
-    Raises
-    ------
-    TransferError, FileError
-        If the suffix is another or the file cannot be written.
+    Returns how many rows. Raises `TransferError` or `FileError` if the suffix is another or the
+    file cannot be written.
     """
     writers = {
         ".csv": write_csv,
@@ -146,16 +114,8 @@ def export_minutes(
     Speed, load and ambient are averages over the minute that begins at a row's time, temperatures
     of rings and nodes over the minute around it: a row's operating point holds from its time on,
     its temperatures are those at its time. Only good samples count; a cell without any is empty.
-
-    Returns
-    -------
-    int
-        How many rows.
-
-    Raises
-    ------
-    TransferError, FileError
-        If the name is that of another kind of file, or the file cannot be written.
+    Returns how many rows. Raises `TransferError` or `FileError` if the name is that of another kind
+    of file, or the file cannot be written.
     """
     if path.suffix.lower() == mdf.SUFFIX:
         raise TransferError(

@@ -1,13 +1,15 @@
-"""Files into the store: CSV, Parquet, MDF 4; every bad row named, sending again does no harm."""
+"""Files into the store: CSV, Parquet, MDF; every bad row named, sending again does no harm."""
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
+
 from adapters.samples import Quality, Sample
 from adapters.tables import RowError, open_table
-from service.clock import from_rfc3339
+from service.clock import from_rfc3339, rfc3339_exact
 from service.store import Store
 from service.transfer import mdf
 from service.transfer.errors import TransferError
@@ -15,17 +17,19 @@ from service.transfer.mapping import Layout, layout_of, read_mapping, time_reade
 
 BATCH_SAMPLES = 20_000
 #: This many bad rows are reported one by one; all are counted.
-REJECTED_TOLD = 100
+REJECTED_LISTED = 100
 
 # What no machine shows: sentinels and shifted columns must not pass as measurements.
 _RANGES = {"_c": (-100.0, 500.0), "_rpm": (-1e5, 1e5), "_n": (-1e3, 1e7)}
 
 Row = Mapping[str, object]
 Progress = Callable[[float], None]
+_Numbered = tuple[int, Sample]
+"""Line or number in the file, and sample."""
 
 
 @dataclass(frozen=True, slots=True)
-class Rejected:
+class RejectedRow:
     """A row, or a cell of it, that was not taken."""
 
     line: int
@@ -36,16 +40,10 @@ class Rejected:
 class ImportReport:
     """What became of a file.
 
-    Attributes
-    ----------
-    rows, samples
-        Read from it.
-    stored, duplicates
-        Of the samples; both stay 0 in a dry run.
-    too_old
-        Samples from before the time from which the store keeps raw samples; not stored.
-    rejected
-        How many rows or cells were not taken; `first_rejected` tells of the first of them.
+    - ``stored``, ``duplicates``: of the samples; both stay 0 in a dry run.
+    - ``too_old``: samples from before the time from which the store keeps raw samples; not stored.
+    - ``rejected``: how many rows or cells were not taken; `first_rejected` names the first of
+      them.
     """
 
     rows: int = 0
@@ -54,13 +52,13 @@ class ImportReport:
     duplicates: int = 0
     too_old: int = 0
     rejected: int = 0
-    first_rejected: list[Rejected] = field(default_factory=list)
+    first_rejected: list[RejectedRow] = field(default_factory=list)
 
     def reject(self, line: int, detail: str) -> None:
         """Count a row or cell that is not taken."""
         self.rejected += 1
-        if len(self.first_rejected) < REJECTED_TOLD:
-            self.first_rejected.append(Rejected(line, detail))
+        if len(self.first_rejected) < REJECTED_LISTED:
+            self.first_rejected.append(RejectedRow(line, detail))
 
 
 def import_file(
@@ -76,35 +74,19 @@ def import_file(
 ) -> ImportReport:
     """Read a file and store its samples.
 
-    Parameters
-    ----------
-    path
-        A CSV file, or a Parquet or MDF 4 file by its suffix.
-    asset
-        Whose channels they are.
-    store
-        Where they go; None only reads, as a dry run.
-    mapping
-        Mapping file, if the columns do not carry the names of channels.
-    start_us
-        What a column of seconds counts from, UTC microseconds; of an MDF file the time of 0 s.
-    own_channels
-        Channels of an asset with a network of its own; None for a bearing.
-    now_us
-        Received time of the samples of which the file does not say it, UTC microseconds.
-    progress
-        Told how much of the file has been read, from 0 to 1.
+    Raises `TableFileError` or `TransferError` if the file cannot be used as a whole; nothing is
+    stored then. Raises `StoreUnavailableError` if the store goes away; what was stored stays, and
+    importing again completes it.
 
-    Raises
-    ------
-    TableFileError, TransferError
-        If the file cannot be used as a whole; nothing is stored then.
-    StoreUnavailableError
-        If the store goes away; what was stored stays, and importing again completes it.
+    - ``path``: a CSV file, a Parquet file by its suffix, or an MDF file by its first bytes.
+    - ``store``: where they go; None only reads, as a dry run.
+    - ``start_us``: what a column of seconds counts from, UTC microseconds; of an MDF file the time
+      of 0 s.
+    - ``now_us``: received time of the samples of which the file does not say it, UTC microseconds.
     """
     plan = None if mapping is None else read_mapping(mapping)
     report = ImportReport()
-    if path.suffix.lower() == mdf.SUFFIX:
+    if mdf.is_mdf(path):
         with mdf.open_mdf(path, plan, own_channels, start_us) as found:
             for one in found:
                 _take_channel(one, asset, store, now_us, report)
@@ -119,10 +101,11 @@ def import_file(
             raise TransferError(
                 f"{path.name}: {layout.time} counts seconds; expected --start with the time of 0 s"
             )
-        batch: list[Sample] = []
+        batch: list[_Numbered] = []
         for read, line, row in rows:
             report.rows += 1
-            batch += _samples(row, line, layout, asset, start_us, now_us, report)
+            for sample in _samples(row, line, layout, asset, start_us, now_us, report):
+                batch.append((line, sample))
             if len(batch) >= BATCH_SAMPLES:
                 _store(store, batch, report)
                 batch = []
@@ -139,7 +122,7 @@ def _take_channel(
 ) -> None:
     """Store a channel of an MDF file; lines are the numbers of its samples."""
     rows = zip(one.time_us.tolist(), one.values.tolist(), one.quality.tolist(), strict=True)
-    batch: list[Sample] = []
+    batch: list[_Numbered] = []
     for number, (time_us, value, quality) in enumerate(rows, 1):
         report.rows += 1
         try:
@@ -150,20 +133,59 @@ def _take_channel(
         except RowError as error:
             report.reject(number, str(error))
             continue
-        batch.append(Sample(asset, one.channel, time_us, value, quality, now_us))
+        batch.append((number, Sample(asset, one.channel, time_us, value, quality, now_us)))
         if len(batch) >= BATCH_SAMPLES:
             _store(store, batch, report)
             batch = []
     _store(store, batch, report)
 
 
-def _store(store: Store | None, samples: Sequence[Sample], report: ImportReport) -> None:
-    report.samples += len(samples)
-    if store is not None:
-        counts = store.samples.write(samples)
-        report.stored += counts.stored
-        report.duplicates += counts.duplicates
-        report.too_old += len(samples) - counts.stored - counts.duplicates
+def _store(store: Store | None, batch: Sequence[_Numbered], report: ImportReport) -> None:
+    report.samples += len(batch)
+    if store is None:
+        _compare_batch(batch, report)
+        return
+    counts = store.samples.write([sample for _, sample in batch])
+    others = _compare(store, batch, report) if counts.duplicates else 0
+    report.stored += counts.stored
+    report.duplicates += counts.duplicates - others
+    report.too_old += len(batch) - counts.stored - counts.duplicates
+
+
+def _compare(store: Store, batch: Sequence[_Numbered], report: ImportReport) -> int:
+    """Reject what the store has with another value; returns how many those are."""
+    by_channel: dict[tuple[str, str], list[_Numbered]] = {}
+    for line, sample in batch:
+        if not math.isnan(sample.value):
+            by_channel.setdefault((sample.asset, sample.channel), []).append((line, sample))
+    found: list[tuple[int, str]] = []
+    for (asset, channel), numbered in by_channel.items():
+        times_us = np.array([sample.time_us for _, sample in numbered], np.int64)
+        values = np.array([sample.value for _, sample in numbered])
+        others = store.channel_history.differing(asset, channel, times_us, values)
+        for place, stored in others.items():
+            line, sample = numbered[place]
+            found.append((line, _not_taken(sample, stored)))
+    for line, detail in sorted(found):
+        report.reject(line, detail)
+    return len(found)
+
+
+def _compare_batch(batch: Sequence[_Numbered], report: ImportReport) -> None:
+    """Reject what the batch itself has with another value: a dry run has no store."""
+    first: dict[tuple[str, int], float] = {}
+    for line, sample in batch:
+        if not math.isnan(sample.value):
+            known = first.setdefault((sample.channel, sample.time_us), sample.value)
+            if known != sample.value:
+                report.reject(line, _not_taken(sample, known))
+
+
+def _not_taken(sample: Sample, other: float) -> str:
+    return (
+        f"{sample.channel} = {sample.value:g} at {rfc3339_exact(sample.time_us)}: same time, "
+        f"another value: not taken; {other:g} is stored"
+    )
 
 
 def _samples(

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from adapters.configuration import first_repeated
 from adapters.tables import RowError
 from service.clock import from_rfc3339
 from service.domain.channels import NODES, OPERATING_CHANNELS, RING_SENSORS
@@ -32,11 +33,13 @@ class TimeColumn(_Model):
 class ChannelColumn(_Model):
     """Where a channel comes from: its value is that of the column times scale plus offset.
 
-    ``group`` says which one of an MDF file, where several have a channel of this name.
+    ``group`` says which one of an MDF file, where several have a channel of this name, and
+    ``index`` which one of a group that has several.
     """
 
     column: str
     group: int | None = Field(None, ge=0)
+    index: int | None = Field(None, ge=0)
     scale: float = Field(1.0, allow_inf_nan=False)
     offset: float = Field(0.0, allow_inf_nan=False)
 
@@ -44,14 +47,7 @@ class ChannelColumn(_Model):
 class Mapping(_Model):
     """A mapping file.
 
-    Attributes
-    ----------
-    time
-        The column with the times; None for an MDF file, where each channel has its own.
-    channels
-        By name of the channel.
-    delimiter
-        Of a CSV file.
+    ``time``: the column with the times; None for an MDF file, where each channel has its own.
     """
 
     time: TimeColumn | None = None
@@ -63,15 +59,10 @@ class Mapping(_Model):
 class Layout:
     """How the rows of one file are read.
 
-    Attributes
-    ----------
-    time
-        Column with the times.
-    seconds
-        Whether these are seconds from a start that the user gives.
-    channels
-        Columns by channel; empty for a file with one sample per row (``time, channel, value`` and
-        perhaps ``quality`` and ``received``).
+    - ``time``: column with the times.
+    - ``seconds``: whether these are seconds from a start that the user gives.
+    - ``channels``: columns by channel; empty for a file with one sample per row (``time, channel,
+      value`` and perhaps ``quality`` and ``received``).
     """
 
     time: str
@@ -82,10 +73,7 @@ class Layout:
 def read_mapping(path: Path) -> Mapping:
     """Read a mapping file (TOML).
 
-    Raises
-    ------
-    TransferError
-        If it cannot be read or a key is wrong; one line that names the key.
+    Raises `TransferError` if it cannot be read or a key is wrong; one line that names the key.
     """
     try:
         document = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -105,37 +93,24 @@ def layout_of(
 ) -> Layout:
     """Find out how a file with these columns is read.
 
-    Parameters
-    ----------
-    file
-        For messages.
-    columns
-        Names of its columns.
-    mapping
-        What the user says of them; None takes them by their names.
-    own_channels
-        Channels of an asset with a network of its own; None for a bearing in the 14-node network.
-
-    Raises
-    ------
-    TransferError
-        If a column is missing, unknown or there twice; one line that names it.
+    Raises `TransferError` if a column is missing, unknown or there twice; one line that names it.
     """
 
     def wrong(text: str) -> TransferError:
         return TransferError(f"{file}: line 1: {text}")
 
-    for name in columns:
-        if columns.count(name) > 1:
-            raise wrong(f"column {name!r} occurs twice; expected once")
+    twice = first_repeated(columns)
+    if twice is not None:
+        raise wrong(f"column {twice!r} occurs twice; expected once")
     if mapping is not None:
         if mapping.time is None:
             raise TransferError(f"{file}: the mapping has no [time]; expected the times' column")
         for channel, one in mapping.channels.items():
-            if one.group is not None:
-                raise TransferError(
-                    f"{file}: channels.{channel}.group: only an MDF file has groups"
-                )
+            for key, value in (("group", one.group), ("index", one.index)):
+                if value is not None:
+                    raise TransferError(
+                        f"{file}: channels.{channel}.{key}: only an MDF file has groups"
+                    )
         wanted = [mapping.time.column, *(one.column for one in mapping.channels.values())]
         for name in wanted:
             if name not in columns:

@@ -16,6 +16,7 @@ from typing import Any, BinaryIO, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from adapters.configuration import first_repeated
 from adapters.samples import Quality
 from adapters.tables import TableFileError
 from service.domain.channels import NODES, OPERATING_CHANNELS, RING_SENSORS, unit_of
@@ -32,7 +33,10 @@ _SECOND_US = 1_000_000
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _COMPRESSED = 2
 """Transposed and deflated: what slow temperatures shrink most by."""
-_BEGINNING = b"MDF     4"
+_BEGINNING: Final = b"MDF     "
+_UNFINISHED: Final = b"UnFinMF "
+#: Versions whose header is a block of 64-bit links, and those before.
+_VERSIONS: Final = (b"4", b"3")
 _HEADER: Final = struct.Struct("<64s4s4xQQ6Q")
 """Identification, then the header block: its id, length, number of links, and links."""
 # What asammdf raises for a file that is cut off or damaged.
@@ -43,18 +47,11 @@ _DAMAGED = (ValueError, KeyError, IndexError, TypeError, EOFError, struct.error,
 class MdfChannel:
     """One channel of a file, as samples of ours.
 
-    Attributes
-    ----------
-    channel
-        Ours.
-    time_us
-        (n,) UTC microseconds.
-    values
-        (n,) in our unit; NaN where there is none.
-    quality
-        (n,) OPC DA bytes.
-    read
-        How much of the file has been read with it, from 0 to 1.
+    - ``channel``: ours.
+    - ``time_us``: (n,) UTC microseconds.
+    - ``values``: (n,) in our unit; NaN where there is none.
+    - ``quality``: (n,) OPC DA bytes.
+    - ``read``: how much of the file has been read with it, from 0 to 1.
     """
 
     channel: str
@@ -64,14 +61,18 @@ class MdfChannel:
     read: float
 
 
-def load_asammdf() -> Any:
-    """Import asammdf.
+def is_mdf(path: Path) -> bool:
+    """Whether a file is one by its first bytes, or by its suffix."""
+    try:
+        with path.open("rb") as file:
+            begins = file.read(len(_BEGINNING))
+    except OSError:  # who reads it says so
+        begins = b""
+    return begins in (_BEGINNING, _UNFINISHED) or path.suffix.lower() == SUFFIX
 
-    Raises
-    ------
-    TableFileError
-        If it is not installed; says how to install it.
-    """
+
+def load_asammdf() -> Any:
+    """Import asammdf. Raises `TableFileError` if it is not installed; says how to install it."""
     if sys.modules.get("asammdf", sys) is None:  # the mark of `adapters.drivers.can`
         del sys.modules["asammdf"]
     try:
@@ -90,11 +91,7 @@ def write_mdf(file: BinaryIO, store: Store, asset: str, place: ExportPosition) -
 
     Samples have ``NAME`` and ``NAME.quality``; buckets their mean as ``NAME``, and ``NAME.min``,
     ``NAME.max`` and ``NAME.count`` besides. The file begins, in UTC, with the first of all rows.
-
-    Raises
-    ------
-    TableFileError
-        If asammdf is not installed.
+    Raises `TableFileError` if asammdf is not installed.
     """
     asammdf = load_asammdf()
     names = place.channels or store.samples.channels(asset)
@@ -137,7 +134,7 @@ def _columns(store: Store, asset: str, place: ExportPosition) -> list[NDArray[An
         columns = [
             (row.time_us, row.quality, row.value)
             if isinstance(row, StoredSample)
-            else (row.time_us, row.quality, row.mean, row.min, row.max, row.count)
+            else (row.time_us, row.quality, row.mean, row.min, row.max, row.good)
             for row in page
         ]
         kinds = (np.int64, np.uint8, *(len(columns[0]) - 2) * (np.float64,))
@@ -186,31 +183,17 @@ def open_mdf(
 ) -> Iterator[Iterator[MdfChannel]]:
     """Open a file and give its channels, one after the other.
 
-    Parameters
-    ----------
-    path
-        The file.
-    mapping
-        Which channel of the file is which of ours; None takes them by their names.
-    own_channels
-        Channels of an asset with a network of its own; None for a bearing in the 14-node network.
-    start_us
-        Time of 0 s in UTC microseconds, for a file that does not know it in UTC, or knows it wrong.
-
-    Raises
-    ------
-    TableFileError
-        If asammdf is not installed, or the file cannot be read, also in the middle of it.
-    TransferError
-        If a channel is missing, unknown, there several times, in a wrong unit or no number, or
-        the file's time has no zone.
+    ``start_us``: time of 0 s in UTC microseconds, for a file that does not know it in UTC, or knows
+    it wrong. Raises `TableFileError` if asammdf is not installed, or the file cannot be read, also
+    in the middle of it; `TransferError` if a channel is missing, unknown, there several times, in a
+    wrong unit or no number, or the file's time has no zone.
     """
     asammdf = load_asammdf()
     try:
         with path.open("rb") as file:
             _check_header(path.name, file.read(_HEADER.size), path.stat().st_size)
             file.seek(0)
-            with _telling_damage(asammdf, path.name), asammdf.MDF(file) as mdf:
+            with _naming_damage(asammdf, path.name), asammdf.MDF(file) as mdf:
                 if start_us is None:
                     start_us = _recorded_start_us(path.name, mdf)
                 chosen = _chosen(path.name, mdf, mapping, own_channels)
@@ -221,29 +204,38 @@ def open_mdf(
 
 def _check_header(name: str, header: bytes, size: int) -> None:
     """Refuse what is no such file or ends too early; of these asammdf leaves a traceback."""
-    if not header.startswith(_BEGINNING):
+    version = header[len(_BEGINNING) : len(_BEGINNING) + 1]
+    if not header.startswith(_BEGINNING) or version not in _VERSIONS:
         raise TableFileError(
-            f"{name}: not a finished MDF 4 file; expected one that begins with 'MDF'"
+            f"{name}: not a finished MDF 3 or MDF 4 file; expected one that begins with 'MDF'"
         )
-    if len(header) == _HEADER.size:
+    if version == b"3":
+        if len(header) == _HEADER.size and header[64:66] == b"HD":
+            return
+    elif len(header) == _HEADER.size:
         _, block, _, _, *links = _HEADER.unpack(header)
         if block == b"##HD" and max(links) < size:
             return
-    raise TableFileError(f"{name}: damaged MDF 4 file (cut off at {size} bytes)")
+    raise TableFileError(f"{name}: damaged MDF file (cut off at {size} bytes)")
 
 
 @contextlib.contextmanager
-def _telling_damage(asammdf: Any, name: str) -> Iterator[None]:
+def _naming_damage(asammdf: Any, name: str) -> Iterator[None]:
     try:
         yield
     except (TableFileError, TransferError):
         raise
     except (*_DAMAGED, asammdf.blocks.utils.MdfException) as error:
-        raise TableFileError(f"{name}: damaged MDF 4 file ({error})") from error
+        raise TableFileError(f"{name}: damaged MDF file ({error})") from error
 
 
 def _recorded_start_us(name: str, mdf: Any) -> int:
     start = mdf.header.start_time
+    if mdf.version < "4":
+        # Its time is that of the recording machine's clock; a reader can only guess the zone.
+        raise TransferError(
+            f"{name}: MDF {mdf.version} knows no time zone; expected --start with the time of 0 s"
+        )
     if start.tzinfo is None:
         raise TransferError(
             f"{name}: begins at {start.isoformat()} of an unknown time zone; expected --start with "
@@ -289,12 +281,18 @@ def _chosen(
             raise TransferError(
                 f"{file}: missing channel {source.column!r}; the mapping names {wanted}"
             )
-        groups = ", ".join(str(group) for group, _ in here)
-        fitting = [one for one in here if source.group in (None, one[0])]
+        fitting = [
+            one for one in here if source.group in (None, one[0]) and source.index in (None, one[1])
+        ]
         if len(fitting) != 1:
+            several = len({group for group, _ in here}) < len(here)
+            shown = ", ".join(
+                f"{group} (index {index})" if several else str(group) for group, index in here
+            )
+            keys = f"channels.{channel}.group and index" if several else f"channels.{channel}.group"
             raise TransferError(
-                f"{file}: channel {source.column!r} is in the groups {groups}; expected "
-                f"channels.{channel}.group = one of them"
+                f"{file}: channel {source.column!r} is in the groups {shown}; expected {keys} = "
+                "one of them"
             )
         found.append(_Chosen(channel, source, *fitting[0]))
     return found
@@ -313,6 +311,13 @@ def _by_name(
         for group, _ in here
     }
     for name, here in places.items():
+        twice = first_repeated(str(group) for group, _ in here)
+        if twice is not None and name in known:
+            indexes = ", ".join(str(index) for group, index in here if str(group) == twice)
+            raise TransferError(
+                f"{file}: channel {name!r} is in group {twice} several times (index {indexes}); "
+                "expected a mapping with group and index"
+            )
         for group, index in here:
             if (name, group) in judged or name in known:
                 yield _Chosen(name, ChannelColumn(column=name), group, index)
@@ -328,7 +333,7 @@ def _channels(
 ) -> Iterator[MdfChannel]:
     places = _places(mdf)
     for number, one in enumerate(chosen, 1):
-        with _telling_damage(asammdf, file):
+        with _naming_damage(asammdf, file):
             signal = mdf.get(group=one.group, index=one.index, ignore_invalidation_bits=True)
             beside = dict(places.get(f"{one.source.column}{_QUALITY}", ()))
             quality = None
@@ -353,7 +358,7 @@ def _as_samples(
     invalid = np.zeros(values.size, bool)
     if signal.invalidation_bits is not None:
         invalid = np.asarray(signal.invalidation_bits, bool)
-    # Where only the bit says that a value is bad, the file does not tell why.
+    # Where only the bit says that a value is bad, the file does not say why.
     if quality is None:
         judged = np.where(invalid, int(Quality.BAD), int(Quality.GOOD))
         # A valid sample that is no number is a missing one, as an empty cell of a table.

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, Field
@@ -46,7 +47,7 @@ class ExportPosition(BaseModel):
 
     @property
     def shows_received(self) -> bool:
-        """Tell whether the rows have received times."""
+        """Whether the rows have received times."""
         return self.received and self.resolution == RAW
 
     def behind(self, row: StoredSample | Rollup) -> Self:
@@ -68,7 +69,7 @@ def bucket_us(resolution: str) -> int:
 
 
 def is_resolution(text: str) -> bool:
-    """Tell whether a text names a resolution that `read_page` knows."""
+    """Whether a text names a resolution that `read_page` knows."""
     return text == RAW or text in _BUCKETS
 
 
@@ -117,6 +118,10 @@ def read_pages(
         following = page.following
 
 
+#: Rows of all channels at one time follow each other.
+_time = lru_cache(1)(rfc3339_exact)
+
+
 def as_items(
     rows: Sequence[StoredSample | Rollup], place: ExportPosition
 ) -> list[SampleItem | ReceivedSampleItem | BucketItem]:
@@ -127,11 +132,11 @@ def as_items(
         if isinstance(row, StoredSample)
         else {
             "channel": row.channel,
-            "time": rfc3339_exact(row.time_us),
+            "time": _time(row.time_us),
             "mean": row.mean,
             "min": row.min,
             "max": row.max,
-            "count": row.count,
+            "count": row.good,
             "quality": row.quality,
         }
         for row in rows
@@ -152,8 +157,8 @@ def as_csv(rows: Sequence[StoredSample | Rollup], place: ExportPosition) -> str:
         f"{rfc3339_exact(row.time_us)},{quoted_cell(row.channel)},{_cell(row.value)},{row.quality}"
         f"{_received_cell(row) if received else ''}\r\n"
         if isinstance(row, StoredSample)
-        else f"{rfc3339_exact(row.time_us)},{quoted_cell(row.channel)},{_cell(row.mean)},"
-        f"{_cell(row.min)},{_cell(row.max)},{row.count},{row.quality}\r\n"
+        else f"{_time(row.time_us)},{quoted_cell(row.channel)},{_cell(row.mean)},"
+        f"{_cell(row.min)},{_cell(row.max)},{row.good},{row.quality}\r\n"
         for row in rows
     )
 

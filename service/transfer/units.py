@@ -34,17 +34,8 @@ _KNOWN: Final = {
 def into_ours(channel: str, unit: str) -> tuple[float, float] | None:
     """Give the scale and the offset that turn values of a unit into those of a channel.
 
-    Parameters
-    ----------
-    channel
-        Name of a channel, whose end is its unit.
-    unit
-        As a file has it; empty counts as the channel's own.
-
-    Returns
-    -------
-    tuple of float, or None
-        1 and 0 for a channel without a unit of ours; None where the unit is no unit of the channel.
+    ``unit``: as a file has it; empty counts as the channel's own. A channel without a unit of ours
+    has 1 and 0; where the unit is no unit of the channel, None.
     """
     ours = unit_of(channel)
     if not unit.strip() or ours not in _KNOWN:

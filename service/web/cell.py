@@ -1,51 +1,68 @@
 """The cell as the web side sees it: everything that it must be asked over the bus."""
 
 import asyncio
+import contextlib
 from collections.abc import Sequence
-from typing import Any, Final
+from itertools import groupby
+from operator import attrgetter
+from typing import Any, Final, TypeVar
 
 from cachetools import TTLCache
-from pydantic import TypeAdapter
 
 from adapters.samples import Sample
-from service.bus import commands as ask
+from service.alarms.records import assets_of, urgency
+from service.bus.alarm_lists import alarms_of
+from service.bus.asking import caller_role
+from service.bus.calls import call, proxy
+from service.bus.commands import Alarms, Pushes, Taken
 from service.bus.interface import ReaderBus
-from service.bus.messages import AnswerT, Command
-from service.documents.identification import JobDocument
-from service.documents.models import ModelDocument
-from service.domain.errors import CellUnavailableError
-from service.domain.requests import IdentificationRequest
-from service.notifications.states import NotificationState
-from service.store import Alarm, AuditEntry, WriteCounts
+from service.bus.messages import SOON_S, WRITTEN_S, AnswerT, Command
+from service.bus.pushed_samples import PackedSamples, PushedSamples
+from service.domain.errors import CellUnavailableError, PushRefusedError
+from service.store import Alarm, WriteCounts
+from service.web.waiting_pushes import WaitingPushes
 
-#: Wall seconds for what is in memory, for what is written, and for what may take a while.
-SOON_S: Final = 2.0
-WRITTEN_S: Final = 15.0
-WHILE_S: Final = 60.0
+#: A push to a cell of a fleet waits so long for its turn, and for its answer; then it is kept here.
+_TURN_S: Final = 3.0
+_TAKEN_S: Final = 5.0
 #: Wall seconds for which an answer is given to all who ask the same.
 SHARED_S: Final = 0.1
 #: So many answers are kept.
 MOST_SHARED: Final = 256
-_JOB: Final[TypeAdapter[JobDocument | None]] = TypeAdapter(JobDocument | None)
-_JOBS: Final = TypeAdapter(list[JobDocument])
+
+InterfaceT = TypeVar("InterfaceT")
 
 
-class Shared:
-    """Answers that many callers want at the same time: each is asked for once."""
+class AskedCell:
+    """The parts of the cell, each by its interface: ``await cell(Identifications).jobs("a")``.
+
+    What many callers want at the same time is asked for once, where the interface allows it.
+    """
 
     def __init__(self, reader: ReaderBus, fresh_s: float = SHARED_S) -> None:
         self._reader = reader
         self._known: TTLCache[Command[Any], Any] = TTLCache(MOST_SHARED, fresh_s)
         self._asking: dict[Command[Any], asyncio.Task[Any]] = {}
+        self._proxies: dict[type, Any] = {}
+
+    def __call__(self, interface: type[InterfaceT]) -> InterfaceT:
+        """Give a part of the cell."""
+        if interface not in self._proxies:
+            self._proxies[interface] = proxy(interface, self.ask)
+        found: InterfaceT = self._proxies[interface]
+        return found
 
     def forget(self) -> None:
-        """Give nobody an answer from before this moment: a caller has changed something."""
+        """Give no answer from before this moment: a caller has changed something."""
         self._known.clear()
         # Who asks from now on does not wait for questions that are under way.
         self._asking = {}
 
-    async def ask(self, command: Command[AnswerT], patience_s: float = SOON_S) -> AnswerT:
-        """Give the answer to a command that changes nothing."""
+    async def ask(self, command: Command[AnswerT], patience_s: float | None = None) -> AnswerT:
+        """Give the answer to a command; by default as long as it may take is waited for it."""
+        patience_s = command.call.patience_s if patience_s is None else patience_s
+        if not command.call.shared:
+            return await self._reader.ask(command, patience_s)
         answer: AnswerT | None = self._known.get(command)
         if answer is not None:
             return answer
@@ -71,92 +88,34 @@ class Shared:
         finally:
             del among[command]
 
+    # ------------------------------------------------------------------ alarms
+    async def open_alarms(self, asset: str | None = None) -> list[Alarm]:
+        """All alarms that are not over, of one asset or of all: see `urgency` for their order."""
+        alarms = await alarms_of(self.ask, call(Alarms.listed))
+        some = alarms if asset is None else (one for one in alarms if asset in assets_of(one))
+        return sorted(some, key=urgency)
 
-class CellAlarms:
-    """The alarm book of the cell; what is done is on the disk when a method returns."""
-
-    def __init__(self, reader: ReaderBus, shared: Shared) -> None:
-        self._reader = reader
-        self._shared = shared
-
-    async def active(self, asset: str | None = None) -> list[Alarm]:
-        """All alarms that are not over, of one asset or of all."""
-        alarms = await self._shared.ask(ask.ListAlarms())
-        return [one for one in alarms if asset is None or one.asset == asset]
-
-    async def normal(self, asset: str | None = None) -> list[Alarm]:
+    async def normal_alarms(self, asset: str | None = None) -> list[Alarm]:
         """All alarms that are normal."""
-        alarms = await self._shared.ask(ask.ListAlarms(normal=True))
-        return [one for one in alarms if asset is None or one.asset == asset]
+        return sorted(await alarms_of(self.ask, call(Alarms.listed, True, asset)), key=urgency)
 
-    async def act(
-        self,
-        alarm_id: str,
-        action: ask.AlarmAction,
-        who: str,
-        comment: str,
-        duration_s: float = 0.0,
-        audit: AuditEntry | None = None,
-    ) -> Alarm:
-        """Do something to an alarm; the line of the audit trail is written with it.
-
-        Raises
-        ------
-        UnknownAlarmError
-            If there is no alarm of this id.
-        NotAllowedError
-            If the alarm's state does not allow it.
-        NotKeptError
-            If neither the store nor the disk takes the change.
-        """
-        command = ask.ActOnAlarm(alarm_id, action, who, comment, duration_s, audit)
-        return await self._reader.ask(command, WRITTEN_S)
-
-    async def acknowledge(
-        self, ids: Sequence[str], who: str, comment: str, audit: AuditEntry | None = None
-    ) -> ask.AcknowledgedAlarms:
-        """Acknowledge several alarms."""
-        command = ask.AcknowledgeAlarms(list(ids), who, comment, audit)
-        return await self._reader.ask(command, WRITTEN_S)
-
-    async def flush(self, patience_s: float) -> None:
+    async def flush_alarms(self, patience_s: float) -> None:
         """Have the store take all changes, for a while; one that is away is not waited for."""
-        try:
-            await self._reader.ask(ask.Flush(patience_s), patience_s + SOON_S)
-        except CellUnavailableError:
-            return  # then the store has what it has
-
-
-class CellNotifications:
-    """The notifications of the cell."""
-
-    def __init__(self, reader: ReaderBus, shared: Shared) -> None:
-        self._reader = reader
-        self._shared = shared
-
-    async def states(self) -> dict[str, NotificationState]:
-        """How each notification is, by its id."""
-        found = await self._shared.ask(ask.GetNotifications())
-        return {state.id: state for state in found}
-
-    async def test(
-        self, notification: str, who: str, audit: AuditEntry | None = None
-    ) -> tuple[bool, str]:
-        """Send a test message; gives whether it was taken, and why not or by whom not."""
-        return await self._reader.ask(ask.TestNotification(notification, who, audit), WHILE_S)
+        with contextlib.suppress(CellUnavailableError):  # then the store has what it has
+            await self.ask(call(Alarms.flush, patience_s), patience_s + SOON_S)
 
 
 class CellIngest:
     """The way of pushed samples into the cell.
 
-    Attributes
-    ----------
-    kept_from_us : int
-        The store takes no samples from before this time, as far as is known here.
+    ``kept_from_us``: the store takes no samples from before this time, as far as is known here.
     """
 
-    def __init__(self, reader: ReaderBus, kept_from_us: int = 0) -> None:
+    def __init__(
+        self, reader: ReaderBus, kept_from_us: int = 0, waiting: WaitingPushes | None = None
+    ) -> None:
         self._reader = reader
+        self._waiting = waiting
         self.kept_from_us = kept_from_us
 
     async def accept(
@@ -167,100 +126,65 @@ class CellIngest:
         received_us: int,
         patience_s: float,
     ) -> WriteCounts:
-        """Take judged samples of an asset in; at the end they are on the disk.
+        """Take judged samples of an asset, as `accept_all`."""
+        judged = PushedSamples.of(samples), PushedSamples.of(too_old)
+        counts, left = await self.accept_all(*judged, received_us, patience_s)
+        if left:
+            raise CellUnavailableError(f"asset {asset!r} is not followed here now")
+        return counts
 
-        Sending the same again is harmless.
+    async def accept_all(
+        self,
+        samples: PushedSamples,
+        too_old: PushedSamples,
+        received_us: int,
+        patience_s: float,
+    ) -> tuple[WriteCounts, Sequence[str]]:
+        """Take judged samples of any assets; at the end they are on the disk.
 
-        Raises
-        ------
-        PushRefusedError
-            If none of them was stored.
-        CellUnavailableError
-            If the cell does not answer: they may have been stored or not.
+        That is the disk of this process where the cell of a fleet does not answer; all count as
+        stored then. Sending the same again is harmless. Gives the counts, and the assets of which
+        nothing was taken: they are not followed any more. Raises `PushRefusedError` if none of the
+        samples was stored; in a fleet, if there is no room on this disk either. Raises
+        `CellUnavailableError` if the cell of a single service does not answer: they may have been
+        stored or not.
         """
-        taken = await self._reader.ask(
-            ask.TakeSamples(
-                asset,
-                received_us,
-                patience_s,
-                ask.Samples.pack(samples),
-                ask.Samples.pack(too_old),
-            ),
-            patience_s + WRITTEN_S,
-        )
-        self.kept_from_us = taken.kept_from_us
-        return WriteCounts(taken.stored, taken.duplicates)
+        waiting = self._waiting
+        if waiting is None:
+            answer_s = patience_s + WRITTEN_S
+            taken = await self._take(received_us, patience_s, answer_s, samples, too_old)
+            return WriteCounts(taken.stored, taken.duplicates), taken.left
+        assets = dict.fromkeys((*samples.assets, *too_old.assets))
+        later = {name for name in assets if waiting.holds(name)}
+        stored = duplicates = 0
+        if left := assets.keys() - later:
+            parts = samples.part(left), too_old.part(left)
+            # Where a cell answers too late, or refuses, there is room on this disk.
+            with contextlib.suppress(CellUnavailableError, PushRefusedError):
+                taken = await self._take(received_us, _TURN_S, _TAKEN_S, *parts)
+                stored, duplicates, left = taken.stored, taken.duplicates, set(taken.left)
+            later |= left
+        rest = samples.part(later)
+        kept = groupby(rest.unpack(received_us, 0, len(rest)), attrgetter("asset"))
+        await asyncio.gather(*(waiting.keep(name, list(some), received_us) for name, some in kept))
+        return WriteCounts(stored + len(rest), duplicates), ()
 
+    async def hand_over(self, asset: str, samples: PackedSamples, received_us: int) -> None:
+        """Have the cell take samples that have waited; raises as `accept`."""
+        caller_role.set("gateway")  # who pushed them was one, or an administrator
+        push = PushedSamples.of_asset(asset, samples)
+        if (await self._take(received_us, _TURN_S, WRITTEN_S, push, PushedSamples.of(()))).left:
+            raise CellUnavailableError(f"asset {asset!r} is not followed here now")
 
-class CellJobs:
-    """The jobs of the cell; see `service.jobs.manager.IdentificationJobs`."""
-
-    def __init__(self, reader: ReaderBus, shared: Shared) -> None:
-        self._reader = reader
-        self._shared = shared
-
-    async def create(
+    async def _take(
         self,
-        asset_id: str,
-        request: IdentificationRequest,
-        idempotency_key: str | None,
-        who: str,
-        audit: AuditEntry | None = None,
-    ) -> tuple[JobDocument, bool]:
-        """Queue a job."""
-        text = request.model_dump_json().encode()
-        command = ask.CreateJob(asset_id, text, idempotency_key, who, audit)
-        job, created = await self._reader.ask(command, WHILE_S)
-        return JobDocument.model_validate_json(job), created
-
-    async def job(self, asset_id: str, job_id: str) -> JobDocument | None:
-        """Return one job."""
-        text = await self._shared.ask(ask.GetJobs(asset_id, job_id), WRITTEN_S)
-        return _JOB.validate_json(text)
-
-    async def jobs(self, asset_id: str) -> Sequence[JobDocument]:
-        """Return the jobs of an asset."""
-        text = await self._shared.ask(ask.GetJobs(asset_id), WRITTEN_S)
-        return _JOBS.validate_json(text)
-
-    async def cancel(
-        self, asset_id: str, job_id: str, audit: AuditEntry | None = None
-    ) -> JobDocument | None:
-        """Stop a job."""
-        text = await self._reader.ask(ask.CancelJob(asset_id, job_id, audit), WHILE_S)
-        return _JOB.validate_json(text)
-
-    async def activate(
-        self,
-        asset_id: str,
-        version: int,
-        who: str,
-        comment: str | None,
-        force: bool,
-        audit: AuditEntry | None = None,
-    ) -> ModelDocument:
-        """Make a model version the active one."""
-        command = ask.ActivateModel(asset_id, version, who, comment, force, audit)
-        text = await self._reader.ask(command, WHILE_S)
-        return ModelDocument.model_validate_json(text)
-
-
-class CellHealth:
-    """What the cell says of itself, for probes and metrics."""
-
-    def __init__(self, shared: Shared) -> None:
-        self._shared = shared
-
-    async def checks(self) -> list[ask.HealthCheck]:
-        """All checks; one that failed where the cell does not answer."""
-        try:
-            return await self._shared.ask(ask.CheckHealth())
-        except CellUnavailableError as error:
-            return [ask.HealthCheck("cell", "failed", str(error))]
-
-    async def metrics(self) -> bytes:
-        """The cell's metrics; empty where it does not answer."""
-        try:
-            return await self._shared.ask(ask.GetMetrics())
-        except CellUnavailableError:
-            return b""
+        received_us: int,
+        patience_s: float,
+        answer_s: float,
+        samples: PushedSamples,
+        too_old: PushedSamples,
+    ) -> Taken:
+        command = call(Pushes.take, received_us, patience_s, samples, too_old)
+        taken = await self._reader.ask(command, answer_s)
+        self.kept_from_us = max(self.kept_from_us, taken.kept_from_us)
+        return taken

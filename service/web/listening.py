@@ -13,12 +13,8 @@ _PASSING = (errno.EADDRINUSE, errno.EADDRNOTAVAIL, socket.EAI_AGAIN)
 def bind(host: str, port: int) -> socket.socket:
     """Bind the address of the web side.
 
-    Raises
-    ------
-    TemporaryError
-        If the port is taken, or the machine does not have the address yet; names it.
-    SettingsError
-        If the address cannot be used at all; names it.
+    Raises `TemporaryError` if the port is taken, or the machine does not have the address yet;
+    names it. Raises `SettingsError` if the address cannot be used at all; names it.
     """
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     # The protocol is named so that asyncio switches Nagle's algorithm off: without it every

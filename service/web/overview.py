@@ -1,11 +1,13 @@
-"""The fleet as callers see it: every asset at a glance, sorted, kept up to date while it is asked.
+"""The fleet as callers see it: a summary of every asset, sorted, kept up to date on demand.
 
 The cell is asked about some assets at a time, with pauses: thousands of assets that somebody looks
-at take a bounded share of its time, and those that nobody looks at take none.
+at take a bounded share of its time, and those that no client looks at take none.
 """
 
 import asyncio
 import contextlib
+import json
+import math
 import time
 from bisect import bisect_right
 from collections import Counter
@@ -19,7 +21,8 @@ from pydantic import BaseModel
 from service.bus.interface import AWAY_AFTER_S
 from service.bus.replica import AssetReplica
 from service.bus.replicas import PORTION, Replicas
-from service.bus.stream import Bus, SubscriptionClosedError
+from service.bus.stream import LiveMessages
+from service.bus.subscription import Message, SubscriptionClosedError
 from service.documents.fleet import (
     ATTENTIONS,
     STATES,
@@ -77,18 +80,9 @@ class _Row:
 class Fit:
     """Which assets are wanted; None and empty mean all.
 
-    Attributes
-    ----------
-    group : str or None
-        Of this group.
-    family : str or None
-        Of this family.
-    search : str
-        With this text in id, name, group, family or bearing, in small or capital letters.
-    states : collection of str
-        In one of these states.
-    attention : bool or None
-        Only those that need attention, or only the others.
+    - ``search``: with this text in id, name, group, family or bearing, in lower or upper case.
+    - ``states``: in one of these states.
+    - ``attention``: only those that need attention, or only the others.
     """
 
     group: str | None = None
@@ -100,18 +94,10 @@ class Fit:
 
 @dataclass(slots=True)
 class Overview:
-    """Every asset at a glance.
-
-    Attributes
-    ----------
-    replicas : Replicas
-        The assets.
-    bus : Bus
-        Live messages of this process: an alarm makes a glance old.
-    """
+    """A summary of every asset."""
 
     replicas: Replicas
-    bus: Bus
+    bus: LiveMessages
     _rows: dict[str, _Row] = field(default_factory=dict)
     _order: list[_Row] = field(default_factory=list)
     _revision: str | None = None
@@ -149,17 +135,17 @@ class Overview:
             if number % PORTION == 0:
                 await asyncio.sleep(0)
             row = self._rows.get(name)
-            if row is None or row.tag != replica.known_tag("glance"):
+            if row is None or row.tag != replica.known_tag("asset_summary"):
                 row = _row(replica)
             row.replica = replica
             rows[name] = row
         self._rows, self._revision, self._dirty = rows, revision, True
-        self._listed_s = -1e9  # whoever asks next gets the list of this revision
+        self._listed_s = -1e9  # the next caller gets the list of this revision
 
     async def _sweep(self) -> None:
         """Ask about all assets that were not heard of lately."""
         rows = self._rows
-        due = [name for name, row in rows.items() if row.replica.is_due("glance", FRESH_S)]
+        due = [name for name, row in rows.items() if row.replica.is_due("asset_summary", FRESH_S)]
         # The oldest last, where they are taken: of a slow cell each has its turn.
         due.sort(key=lambda name: rows[name].right_s, reverse=True)
         while due or self._soon:
@@ -168,7 +154,7 @@ class Overview:
             portion = [rows[name].replica for name in dict.fromkeys(names) if name in rows]
             begun_s = time.monotonic()
             try:
-                await self.replicas.ask_for([(asset, "glance") for asset in portion])
+                await self.replicas.ask_for([(asset, "asset_summary") for asset in portion])
             except CellUnavailableError:
                 await asyncio.sleep(_RETRY_S)
                 return
@@ -179,8 +165,8 @@ class Overview:
 
     def _take(self, rows: dict[str, _Row], asset: AssetReplica) -> None:
         row = rows[asset.id]
-        right_s = time.monotonic() - asset.age_s("glance")
-        if row.tag != asset.known_tag("glance"):
+        right_s = time.monotonic() - asset.age_s("asset_summary")
+        if row.tag != asset.known_tag("asset_summary"):
             row = rows[asset.id] = _row(asset)
             self._dirty = True
         row.right_s = right_s
@@ -192,8 +178,8 @@ class Overview:
             try:
                 while True:
                     message = await subscription.get()
-                    if message.asset is not None and self._wanted.is_set():
-                        self._soon.add(message.asset)
+                    if self._wanted.is_set():
+                        self._soon.update(_about(message))
             except SubscriptionClosedError:
                 await asyncio.sleep(_RETRY_S)  # the cell has begun again, or the service stops
             finally:
@@ -210,21 +196,8 @@ class Overview:
     ) -> tuple[FleetPage, Place | None]:
         """Give the assets that fit behind a place, and the place where this page ends.
 
-        Parameters
-        ----------
-        fit : Fit
-            Which assets.
-        sort : str
-            ``urgency`` (the most urgent first) or ``id``.
-        limit : int
-            Assets at most.
-        place : Place, optional
-            Where the page before ended.
-
-        Raises
-        ------
-        CellUnavailableError
-            While the cell does not answer.
+        ``sort``: ``urgency`` (the most urgent first) or ``id``. Raises `CellUnavailableError` while
+        the cell does not answer.
         """
         rows = self._listing()
         search = fit.search.casefold()
@@ -265,10 +238,7 @@ class Overview:
     def map(self) -> FleetMap:
         """Give the state of every asset.
 
-        Raises
-        ------
-        CellUnavailableError
-            While the cell does not answer.
+        Raises `CellUnavailableError` while the cell does not answer.
         """
         self._listing()
         marks = "".join(self._rows[name].mark for name in sorted(self._rows))
@@ -300,7 +270,7 @@ class Overview:
 
 def _shown(row: _Row) -> FleetAsset:
     """What is shown of an asset: nothing of its state where it was not heard of lately."""
-    asset = row.replica.glance()
+    asset = row.replica.asset_summary()
     if row.state != "unread":
         return asset
     return asset.model_copy(
@@ -332,7 +302,7 @@ def _forget(row: _Row) -> None:
 
 
 def _row(replica: AssetReplica) -> _Row:
-    asset = replica.glance()
+    asset = replica.asset_summary()
     words: Iterable[str | None] = (
         asset.id,
         asset.name,
@@ -342,8 +312,8 @@ def _row(replica: AssetReplica) -> _Row:
     )
     return _Row(
         replica=replica,
-        tag=replica.known_tag("glance"),
-        right_s=time.monotonic() - replica.age_s("glance"),
+        tag=replica.known_tag("asset_summary"),
+        right_s=time.monotonic() - replica.age_s("asset_summary"),
         key=_urgency(asset),
         group=asset.group,
         family=asset.family,
@@ -356,12 +326,15 @@ def _row(replica: AssetReplica) -> _Row:
 
 
 def _urgency(asset: FleetAsset) -> Key:
-    """Sort key: an alarm by priority, then the shortest time to a limit, then what is missing."""
+    """Sort key: an alarm by priority, then what is over its limit by most, then the shortest time.
+
+    What is missing comes last.
+    """
     if asset.attention is None:
         rank = {"safe": _LAST - 2, "waiting": _LAST - 1}.get(asset.state, _LAST)
         return float(rank), 0.0, 0.0, asset.id
     rank = ATTENTIONS.index(asset.attention)
-    seconds = 0.0 if asset.state == "over" else asset.seconds_to_limit
+    seconds = -_excess(asset) if asset.state == "over" else asset.seconds_to_limit
     soon_s = 1e9 if seconds is None else seconds
     first = 0.0
     if asset.alarm is not None:
@@ -371,6 +344,21 @@ def _urgency(asset: FleetAsset) -> Key:
     elif asset.limit is not None and asset.state == "over":
         first = 0.0 if asset.limit.level == "alarm" else 1.0
     return float(rank), first, soon_s, asset.id
+
+
+def _excess(asset: FleetAsset) -> float:
+    """By how many whole degrees an asset is over its limit; whole ones, so that rows stay."""
+    if asset.limit is None or asset.value_c is None:
+        return 0.0
+    return float(math.floor(max(asset.value_c - asset.limit.value_c, 0.0)))
+
+
+def _about(message: Message) -> list[str]:
+    """The assets that a message of an alarm is about."""
+    if message.asset is not None:
+        return [message.asset]
+    assets: list[str] = json.loads(message.text)["data"]["assets"]
+    return assets
 
 
 def _mark(asset: FleetAsset) -> str:

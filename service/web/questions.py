@@ -5,7 +5,7 @@ import contextlib
 import multiprocessing
 import os
 import time
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable
 from concurrent.futures import Executor, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any, Final, TypeVar
@@ -13,39 +13,26 @@ from typing import Any, Final, TypeVar
 from anyio import to_thread
 from pydantic_core import to_json
 
-from service.documents.advice import AdviceDocument
-from service.documents.envelope import EnvelopeDocument
-from service.documents.forecasts import WhatIf
-from service.documents.identification import WindowDocument
+from service.bus.questions import how_answered
 from service.documents.machine import PresentMachine
 from service.domain.errors import NotReadyError
-from service.domain.requests import ProfileStep
-from service.reports.files import ReportFormat
 from service.site.settings import Settings
-from service.store import Run, Store
-from service.store.forecast_records import IssuedForecast
+from service.store import Store
 from service.web import worker
 from service.web.what_if_worker import WhatIfWorker
 
 #: A worker for studies that has had nothing to do for so many wall seconds ends: it holds some
 #: hundred megabytes.
 IDLE_S: Final = 120.0
-#: Wall seconds after the start after which the worker of what-ifs gets ready.
-WARM_UP_AFTER_S: Final = 5.0
+#: And one for what-ifs, after the last question and the last client of the live messages.
+WHAT_IFS_IDLE_S: Final = 900.0
+_POLL_S: Final = 1.0
 
 Result = TypeVar("Result")
 
 
 class WorkerQuestions:
-    """Computes what callers ask; see `service.bus.replica.Questions`.
-
-    Parameters
-    ----------
-    settings : Settings
-        The configuration.
-    store : Store
-        Where the model versions are.
-    """
+    """Computes what callers ask; see `service.bus.questions.Questions`."""
 
     def __init__(self, settings: Settings, store: Store) -> None:
         self._store = store
@@ -63,75 +50,54 @@ class WorkerQuestions:
 
         self._what_ifs = WhatIfWorker(make_executor)
         self._studies = WhatIfWorker(make_executor)
-        self._studied_s = time.monotonic()
+        self._asked_s = self._studied_s = time.monotonic()
         self._studying = 0
-        self._models: dict[str, worker.Model] = {}
+        self._models: dict[str, worker.WorkerModel] = {}
 
-    async def run(self) -> None:
-        """Have the worker of what-ifs ready before the first question; until cancelled."""
+    async def run(self, is_watched: Callable[[], bool]) -> None:
+        """Have the worker of what-ifs ready while a client follows the machines; until cancelled.
+
+        ``is_watched``: says whether one does: it may ask at any moment, and the worker takes two
+        seconds to start.
+        """
         try:
-            await asyncio.sleep(WARM_UP_AFTER_S)
-            with contextlib.suppress(NotReadyError):
-                await self._compute(self._what_ifs, worker.warm_up)
             while True:
-                await asyncio.sleep(IDLE_S / 4)
-                if not self._studying and time.monotonic() - self._studied_s > IDLE_S:
+                await asyncio.sleep(_POLL_S)
+                now_s = time.monotonic()
+                if is_watched():
+                    self._asked_s = now_s
+                    if not self._what_ifs.is_running:
+                        with contextlib.suppress(NotReadyError):
+                            await self._compute(self._what_ifs, worker.warm_up)
+                elif now_s - self._asked_s > WHAT_IFS_IDLE_S:
+                    self._what_ifs.shutdown()
+                if not self._studying and now_s - self._studied_s > IDLE_S:
                     self._studies.shutdown()
         finally:
             for executor in (self._what_ifs, self._studies):
                 executor.shutdown(wait=False, cancel_futures=True)
 
-    async def what_if(
+    async def answer(
         self,
+        question: Callable[..., Result],
         asset: str,
-        machine: PresentMachine,
-        profile: Sequence[ProfileStep],
-        step_s: float | None,
-        nodes: Collection[str] | None,
-    ) -> WhatIf:
-        """Forecast a profile from the state of a machine."""
-        model = await self._model(asset, machine.version)
-        steps, wanted = list(profile), list(nodes) if nodes else None
-        return await self._compute(
-            self._what_ifs, worker.what_if, model, machine, steps, step_s, wanted
-        )
+        machine: PresentMachine | None,
+        *arguments: Any,
+    ) -> Result:
+        """See `service.bus.questions.Questions.answer`."""
+        model = None if machine is None else await self._model(asset, machine.version)
+        asked = worker.Asked(asset, model, machine)
+        if how_answered(question).at_once:
+            self._asked_s = time.monotonic()
+            return await self._compute(self._what_ifs, question, asked, *arguments)
+        self._studying += 1
+        try:
+            return await self._compute(self._studies, question, asked, *arguments)
+        finally:
+            self._studying -= 1
+            self._studied_s = time.monotonic()
 
-    async def what_if_to_keep(
-        self,
-        asset: str,
-        machine: PresentMachine,
-        profile: Sequence[ProfileStep],
-        step_s: float | None,
-        nodes: Collection[str] | None,
-    ) -> tuple[WhatIf, IssuedForecast | None]:
-        """Forecast a profile, and give what is kept of the forecast."""
-        model = await self._model(asset, machine.version)
-        steps, wanted = list(profile), list(nodes) if nodes else None
-        return await self._compute(
-            self._what_ifs, worker.what_if_to_keep, model, machine, steps, step_s, wanted
-        )
-
-    async def envelope(self, asset: str, machine: PresentMachine) -> EnvelopeDocument:
-        """Give the safe operating envelope."""
-        model = await self._model(asset, machine.version)
-        return await self._study(worker.envelope, model, machine)
-
-    async def advice(
-        self, asset: str, machine: PresentMachine, target: tuple[float, float, float]
-    ) -> AdviceDocument:
-        """Rank low-risk steps by what they teach about a point."""
-        model = await self._model(asset, machine.version)
-        return await self._study(worker.advice, model, machine, target)
-
-    async def windows(self, asset: str) -> Sequence[WindowDocument]:
-        """Find the low-risk windows in the store."""
-        return await self._study(worker.windows, asset)
-
-    async def report(self, asset: str, run: Run, format: ReportFormat, now_us: int) -> bytes:
-        """Make the report of a run."""
-        return await self._study(worker.report, asset, run, format, now_us)
-
-    async def _model(self, asset: str, version: int) -> worker.Model:
+    async def _model(self, asset: str, version: int) -> worker.WorkerModel:
         known = self._models.get(asset)
         if known is None or known.version != version:
             found = await to_thread.run_sync(self._store.models.version, asset, version)
@@ -139,17 +105,9 @@ class WorkerQuestions:
                 raise NotReadyError(f"model version {version} is not in the store")
             posterior = to_json(found.document["posterior"])
             naive = to_json(found.document.get("naive_models"))
-            known = worker.Model(asset, version, posterior, found.created_at_us, naive)
+            known = worker.WorkerModel(asset, version, posterior, found.created_at_us, naive)
             self._models[asset] = known
         return known
-
-    async def _study(self, work: Callable[..., Result], *arguments: Any) -> Result:
-        self._studying += 1
-        try:
-            return await self._compute(self._studies, work, *arguments)
-        finally:
-            self._studying -= 1
-            self._studied_s = time.monotonic()
 
     async def _compute(
         self, executor: WhatIfWorker, work: Callable[..., Result], *arguments: Any

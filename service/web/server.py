@@ -55,16 +55,11 @@ def allow_open_files() -> int:
 class Doorway(socket.socket):
     """A listening socket that lets in this many connections in all, and of one address.
 
-    It takes over the descriptor of a bound socket. Whoever comes beyond the limits is hung up on
+    It takes over the descriptor of a bound socket. A client beyond the limits is hung up on
     at once: that costs a few microseconds and no descriptor.
 
-    Parameters
-    ----------
-    listener : socket.socket
-        Bound; of no use afterwards.
-    most : int
-        Connections in all. An address may have as many as it leaves free, so that there is always
-        one for the next; another machine an eighth at most. On this machine a proxy may stand.
+    - ``most``: connections in all. An address may have as many as it leaves free, so that there is
+      always one for the next; another machine an eighth at most. On this machine a proxy may stand.
     """
 
     def __init__(self, listener: socket.socket, most: int) -> None:
@@ -201,14 +196,8 @@ class _Protocol(H11Protocol):
 class WebServer(uvicorn.Server):
     """uvicorn without its signal handling, as the service stops as one whole, and with limits.
 
-    Parameters
-    ----------
-    app
-        The ASGI application.
-    most_connections : int
-        More are hung up on; of the last eighth of them requests are answered with status 503.
-    tls : ssl.SSLContext, optional
-        With it the server talks HTTPS.
+    ``most_connections``: more are hung up on; of the last eighth of them requests are answered with
+    status 503.
     """
 
     def __init__(self, app: ASGIApp, most_connections: int, tls: ssl.SSLContext | None) -> None:

@@ -7,10 +7,14 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from concurrent.futures import Executor
 from typing import TypeVar
 
+from service.domain.errors import BearingTwinError
+
 Result = TypeVar("Result")
 
+_WORDS = ["no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten"]
 
-class BusyError(Exception):
+
+class BusyError(BearingTwinError):
     """A caller has as many turns, and waits for as many, as it may; the text says at what."""
 
 
@@ -19,18 +23,11 @@ class Shares:
 
     Callers take turns one after the other, however many of them one caller asks for.
 
-    Parameters
-    ----------
-    what : str
-        What the turns are at, in the plural, for the refusal.
-    at_once : int
-        Turns at the same time.
-    at_once_each : int
-        Of those, turns of one caller.
-    waiting_each : int
-        How many more a caller may wait for; who asks for yet another is refused.
-    waiting : int
-        How many all callers together may wait for.
+    - ``what``: what the turns are at, in the plural, for the refusal.
+    - ``at_once``: turns at the same time.
+    - ``at_once_each``: of those, turns of one caller.
+    - ``waiting_each``: how many more a caller may wait for; who asks for yet another is refused.
+    - ``waiting``: how many all callers together may wait for.
     """
 
     def __init__(
@@ -55,10 +52,7 @@ class Shares:
     async def turn(self, caller: str) -> AsyncIterator[None]:
         """Wait for a turn and have it until the end of the context.
 
-        Raises
-        ------
-        BusyError
-            If the caller may not wait for any more.
+        Raises `BusyError` if the caller may not wait for any more.
         """
         await self.enter(caller)
         try:
@@ -73,14 +67,7 @@ class Shares:
         if not self._is_free(caller) and (
             len(queue) >= self._waiting_each or total >= self._waiting
         ):
-            most = self._at_once_each + self._waiting_each
-            raise BusyError(
-                f"too many {self._what} at once, expected at most {most} of one key "
-                f"and {self._at_once + self._waiting} of all"
-                if self._waiting_each
-                else f"too many {self._what} at once, expected at most {self._at_once_each} of "
-                f"one key and {self._at_once} of all"
-            )
+            raise BusyError(self._refusal(caller))
         turn: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._queues.setdefault(caller, deque()).append(turn)
         self._give()
@@ -128,6 +115,15 @@ class Shares:
 
         working.add_done_callback(done)
         return await asyncio.shield(working)
+
+    def _refusal(self, caller: str) -> str:
+        """Why a caller may not wait: its own share is full, or what all callers share."""
+        own = self._running[caller] + len(self._queues.get(caller, ()))
+        if own < self._at_once_each + self._waiting_each:
+            return f"busy: too many {self._what} for other callers at the moment"
+        count = _WORDS[own] if own < len(_WORDS) else str(own)
+        what, are = (self._what, "are") if own != 1 else (self._what.removesuffix("s"), "is")
+        return f"busy: {count} {what} {are} running with this key"
 
     def _is_free(self, caller: str) -> bool:
         return (

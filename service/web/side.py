@@ -17,10 +17,7 @@ from service.web.server import WebServer, serve_web
 class WebSide:
     """The web server of a service that may still wait for its store.
 
-    Attributes
-    ----------
-    waits_for : str
-        What the service waits for, for people; names no hosts.
+    ``waits_for``: what the service waits for, for people; names no hosts.
     """
 
     def __init__(self) -> None:
@@ -30,15 +27,7 @@ class WebSide:
         self._serving: asyncio.Task[None] | None = None
 
     async def run(self, listener: socket.socket, tls: ssl.SSLContext | None) -> None:
-        """Answer until cancelled.
-
-        Parameters
-        ----------
-        listener : socket.socket
-            Bound socket.
-        tls : ssl.SSLContext, optional
-            With it the web side talks HTTPS.
-        """
+        """Answer until cancelled."""
         self._server, doorway = serve_web(self, listener, tls)
         self._serving = asyncio.create_task(self._server.serve(sockets=[doorway]))
         try:

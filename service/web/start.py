@@ -5,23 +5,27 @@ import contextlib
 import multiprocessing
 import socket
 import ssl
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from functools import partial
 from typing import Final
 
 import structlog
+from anyio import to_thread
+from prometheus_client import CollectorRegistry, Gauge
 
-from service.bus.commands import ApplyAssets
+from service.bus.commands import Assets
 from service.bus.directory import Directory
-from service.bus.fleet import Fleet
+from service.bus.fleet_cells import Fleet
 from service.bus.fleet_connection import fleet_of
 from service.bus.fleet_following import FleetFollowing
 from service.bus.following import Following
+from service.bus.health_reports import HealthReports
 from service.bus.interface import AWAY_AFTER_S, ReaderBus
 from service.bus.local import LocalReaderBus
-from service.bus.presence import tell_presence
+from service.bus.presence import report_presence
+from service.bus.pushed_samples import PackedSamples
 from service.bus.replicas import Replicas
-from service.bus.stream import Bus, heartbeats
+from service.bus.stream import LiveMessages, heartbeats
 from service.clock import ProcessClock, wall_us
 from service.documents.messages import ServiceHealth, SourceDocument
 from service.domain.errors import CellUnavailableError
@@ -29,23 +33,16 @@ from service.security.loopback import is_loopback
 from service.service_manager import ServiceManager
 from service.site.configuration import SettingsError
 from service.site.settings import Settings
-from service.store import Outbox, Store
+from service.store import Outbox, Store, StoreUnavailableError
 from service.tasks import background
 from service.waiting import StoppedError, Waiting
 from service.web.api import create_app
 from service.web.api.context import ServiceContext
-from service.web.cell import (
-    WHILE_S,
-    CellAlarms,
-    CellHealth,
-    CellIngest,
-    CellJobs,
-    CellNotifications,
-    Shared,
-)
+from service.web.cell import AskedCell, CellIngest
 from service.web.overview import Overview
 from service.web.questions import WorkerQuestions
 from service.web.side import WebSide
+from service.web.waiting_pushes import WaitingPushes
 
 #: Lines of the audit trail wait for the store in a file of this process.
 OUTBOX_FILE: Final = "outbox-web.db"
@@ -65,27 +62,9 @@ async def run_web(
 ) -> None:
     """Run the web side of a configuration until ``stop`` is set: REST, stream and pages.
 
-    It waits for the cell, and goes on when the cell ends and comes back.
-
-    Parameters
-    ----------
-    settings : Settings
-        The configuration.
-    listener : socket.socket
-        Bound; of no use afterwards.
-    tls : ssl.SSLContext, optional
-        With it the web side talks HTTPS.
-    stop : asyncio.Event
-        Set it to end the web side cleanly.
-    ready : callable
-        Called when the whole application answers.
-
-    Raises
-    ------
-    SettingsError
-        If nobody could ever come in: other machines may reach the service and there is no key.
-    StoreError
-        If the store cannot be used.
+    It waits for the cell, and goes on when the cell ends and comes back. Raises `SettingsError` if
+    no client could log in: other machines may reach the service and there is no key;
+    `StoreError` if the store cannot be used.
     """
     with contextlib.suppress(StoppedError):
         await _Start(settings, stop).run(listener, tls, ready)
@@ -136,9 +115,10 @@ class _Start:
             )
             stack.callback(outbox.close, _CLOSE_S)
             questions = WorkerQuestions(settings, store)
-            await stack.enter_async_context(background(questions.run(), "questions", stop))
             clock = ProcessClock.resume(settings.clock.rate, data_dir)
-            bus = Bus(clock)
+            bus = LiveMessages(clock)
+            answering = questions.run(lambda: bus.subscribers > 0 and reader.state.follows)
+            await stack.enter_async_context(background(answering, "questions", stop))
             following: Following | FleetFollowing
             is_known: Callable[[str], bool] = frozenset[str]().__contains__
             if isinstance(reader, Fleet):
@@ -148,16 +128,31 @@ class _Start:
             else:
                 following = Following(reader, bus)
             await stack.enter_async_context(background(following.run(), "live messages", stop))
+            health = HealthReports(reader)
+            await stack.enter_async_context(background(health.run(), "health", stop))
             replicas = Replicas(reader, questions)
-            await self._until_known(replicas, following)
-            shared = Shared(reader)
+            await self._until_known(replicas, following, health)
+            cell = AskedCell(reader)
             fleet = Overview(replicas, bus)
 
-            def changed(asset: str | None) -> None:
-                replicas.changed(asset)
-                shared.forget()
+            def changed(assets: Collection[str] | None) -> None:
+                replicas.changed(assets)
+                cell.forget()
 
             kept_from_us = await until("the store", store.samples.raw_kept_from_us)
+            registry = CollectorRegistry()
+            waiting: WaitingPushes | None = None
+            if isinstance(reader, Fleet):
+                open_pushes = partial(WaitingPushes.open, data_dir, settings.service.spool_mib)
+                waiting = await until("room on the disk", open_pushes)
+                stack.callback(waiting.close)
+                health.own.append(waiting.problem)
+                Gauge(
+                    "bearing_twin_pushes_waiting",
+                    "Pushes that wait on the disk of a web process for the cells of their assets.",
+                    registry=registry,
+                ).set_function(partial(len, waiting))
+            ingest = CellIngest(reader, kept_from_us, waiting)
             app = create_app(
                 ServiceContext(
                     settings=settings,
@@ -165,37 +160,39 @@ class _Start:
                     store=store,
                     outbox=outbox,
                     bus=bus,
-                    ingest=CellIngest(reader, kept_from_us),
-                    alarms=CellAlarms(reader, shared),
-                    notifications=CellNotifications(reader, shared),
+                    cell=cell,
+                    ingest=ingest,
                     assets=replicas.assets,
-                    jobs=CellJobs(reader, shared),
-                    health=CellHealth(shared),
+                    health=health,
                     fleet=fleet,
                     refresh_summaries=lambda assets: replicas.refresh_known(
                         "summary", assets=assets
                     ),
                     changed=changed,
                     follow=following.follow,
-                    apply_assets=partial(_apply_assets, reader, replicas),
+                    apply_assets=partial(_apply_assets, cell, replicas),
                     is_known=is_known,
                     apply_file=_apply_file(settings),
+                    registry=registry,
                 )
             )
             for name, work in (
-                ("presence", tell_presence(reader, "web")),
+                ("presence", report_presence(reader, "web")),
                 ("assets", replicas.follow()),
                 ("fleet", fleet.run()),
-                ("absence", _tell_absence(reader, replicas, bus, clock.rate)),
+                ("absence", _report_absence(reader, replicas, bus, clock.rate)),
             ):
                 await stack.enter_async_context(background(work, name, stop))
+            if waiting is not None:
+                handing = waiting.run(partial(_hand_over, ingest, store, is_known))
+                await stack.enter_async_context(background(handing, "waiting pushes", stop))
             await stack.enter_async_context(app.router.lifespan_context(app))
             stack.push_async_callback(self._leave, bus)
             self._web.show(app)
             ready()
             await stop.wait()
 
-    async def _leave(self, bus: Bus) -> None:
+    async def _leave(self, bus: LiveMessages) -> None:
         bus.close("the service stops")
         await self._web.stop()
 
@@ -206,8 +203,10 @@ class _Start:
             self._web.waits_for = (reader.state.waits_for if there else "") or "the cell"
             await self._pause()
 
-    async def _until_known(self, replicas: Replicas, following: Following | FleetFollowing) -> None:
-        """Wait until every asset and the latest live messages are known."""
+    async def _until_known(
+        self, replicas: Replicas, following: Following | FleetFollowing, health: HealthReports
+    ) -> None:
+        """Wait until every asset, the latest live messages and the cell's health are known."""
         while True:
             try:
                 await replicas.load()
@@ -215,7 +214,7 @@ class _Start:
             except CellUnavailableError:
                 self._web.waits_for = "the cell"
                 await self._pause()
-        while not following.caught_up.is_set():
+        while not (following.caught_up.is_set() and health.known):
             await self._pause()
 
     async def _pause(self) -> None:
@@ -232,25 +231,47 @@ def _apply_file(settings: Settings) -> Callable[[], None] | None:
     return ServiceManager().reload if supervised and not settings.is_fleet else None
 
 
-async def _apply_assets(reader: ReaderBus, replicas: Replicas) -> dict[str, str]:
+async def _apply_assets(cell: AskedCell, replicas: Replicas) -> dict[str, str]:
     """Have the cell take up what the store holds now, and know it here too."""
-    wrong = await reader.ask(ApplyAssets(), WHILE_S)
+    wrong = await cell(Assets).apply()
     await replicas.load()
     return wrong
 
 
-async def _tell_absence(reader: ReaderBus, replicas: Replicas, bus: Bus, clock_rate: float) -> None:
-    """Tell those who follow when the cell is away: nothing that they see is live then."""
-    told = False
+async def _hand_over(
+    ingest: CellIngest,
+    store: Store,
+    is_known: Callable[[str], bool],
+    asset: str,
+    samples: PackedSamples,
+    received_us: int,
+) -> None:
+    """Give samples that have waited to the cell of their asset, or to the store if it has none."""
+    if is_known(asset):
+        await ingest.hand_over(asset, samples, received_us)
+        return
+    # It was removed meanwhile: no cell will ever follow it, and its history stays.
+    try:
+        rows = samples.unpack(asset, received_us)
+        await to_thread.run_sync(store.samples.write, rows)
+    except StoreUnavailableError as error:
+        raise CellUnavailableError(str(error)) from error
+
+
+async def _report_absence(
+    reader: ReaderBus, replicas: Replicas, bus: LiveMessages, clock_rate: float
+) -> None:
+    """Send clients a message when the cell is away: nothing that they see is live then."""
+    reported = False
     while True:
         await asyncio.sleep(1.0)
         away = reader.away_s > 2 * AWAY_AFTER_S
         if not away:
-            told = False
+            reported = False
             continue
-        if not told:
+        if not reported:
             _log.warning("cell_away", since_s=round(reader.away_s, 1))
-        told = True
+        reported = True
         cell = SourceDocument(
             name="cell",
             driver="bus",
@@ -266,12 +287,9 @@ async def _tell_absence(reader: ReaderBus, replicas: Replicas, bus: Bus, clock_r
 
 
 def check_key(store: Store, host: str) -> None:
-    """Refuse a service that other machines may reach, and that nobody has a key of.
+    """Refuse a service that other machines may reach and that has no valid key.
 
-    Raises
-    ------
-    SettingsError
-        If there is no valid key.
+    Raises `SettingsError` if there is no valid key.
     """
     now_us = wall_us()
     if not any(key.is_valid(now_us) for key in store.access.list_keys()):

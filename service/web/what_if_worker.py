@@ -14,17 +14,16 @@ _log = structlog.get_logger(__name__)
 
 
 class WhatIfWorker(Executor):
-    """A worker process that starts with its first task and is replaced when it has died.
-
-    Parameters
-    ----------
-    make_executor : callable
-        Makes a pool with one process.
-    """
+    """A worker process that starts with its first task and is replaced when it has died."""
 
     def __init__(self, make_executor: Callable[[], Executor]) -> None:
         self._make_executor = make_executor
         self._executor: Executor | None = None
+
+    @property
+    def is_running(self) -> bool:
+        """Whether it was started and not ended."""
+        return self._executor is not None
 
     def submit(self, fn: Callable[..., Result], /, *args: Any, **kwargs: Any) -> "Future[Result]":
         """Have a function called in the process; it and its arguments must be picklable."""

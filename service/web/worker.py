@@ -11,27 +11,25 @@ from typing import TYPE_CHECKING
 
 from pydantic_core import from_json
 
+from service.bus.questions import Question
 from service.documents.machine import PresentMachine
 from service.domain.errors import NotReadyError
 from service.domain.requests import ProfileStep
 
 if TYPE_CHECKING:
-    from service.documents.advice import AdviceDocument
     from service.documents.envelope import EnvelopeDocument
     from service.documents.forecasts import WhatIf
     from service.documents.identification import WindowDocument
     from service.jobs.history import AssetHistory
-    from service.live.envelope import EnvelopeKeeper
-    from service.live.estimate import ActiveModel, EstimatedState
-    from service.reports.files import ReportFormat
+    from service.live.envelope_keeper import EnvelopeKeeper
+    from service.live.estimate import EstimatedState, RunningModel
     from service.site.asset_section import AssetSection
     from service.site.settings import Settings
-    from service.store import Run, Store
-    from service.store.forecast_records import IssuedForecast
+    from service.store import Store
 
 
 @dataclass(frozen=True, slots=True)
-class Model:
+class WorkerModel:
     """A model version of an asset, its posterior and its simple forecasts as JSON text."""
 
     asset: str
@@ -41,20 +39,51 @@ class Model:
     naive: bytes = b"null"
 
 
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """What a question is about: an asset, its model, and the machine as it is now."""
+
+    asset: str
+    model: WorkerModel | None = None
+    machine: PresentMachine | None = None
+
+    @property
+    def section(self) -> "AssetSection":
+        """The asset's section with its limits in effect."""
+        return _asset(self.asset)
+
+    @property
+    def present(self) -> PresentMachine:
+        """The machine as it is now."""
+        if self.machine is None or self.machine.estimate is None:
+            raise NotReadyError("the twin waits for the first good temperatures, speed and load")
+        return self.machine
+
+    @property
+    def state(self) -> "EstimatedState":
+        """Where a forecast begins."""
+        from service.live.estimate import EstimatedState
+
+        estimate = self.present.estimate
+        if self.model is None or estimate is None:
+            raise RuntimeError("the question was asked without the state of the machine")
+        return EstimatedState.read(_active(self.model), estimate)
+
+
 _settings: "Settings | None" = None
 # What is kept of each asset, and the revisions or the section that it was made of.
 _sections: "dict[str, tuple[tuple[int, int], AssetSection]]" = {}
-_models: "dict[str, tuple[AssetSection, ActiveModel]]" = {}
+_models: "dict[str, tuple[AssetSection, RunningModel]]" = {}
 _keepers: "dict[str, tuple[AssetSection, EnvelopeKeeper]]" = {}
 _histories: "dict[str, tuple[AssetSection, AssetHistory]]" = {}
 
 
-def prepare(settings: "Settings") -> None:
+def prepare(configured: "Settings") -> None:
     """Take the configuration; called once in each worker."""
     from service.jobs.executor import prepare_worker
 
     global _settings
-    _settings = settings
+    _settings = configured
     prepare_worker()
 
 
@@ -65,66 +94,28 @@ def warm_up() -> None:
     compile_live_kernels()
 
 
+@Question(at_once=True)
 def what_if(
-    model: Model,
-    machine: PresentMachine,
-    profile: Sequence[ProfileStep],
-    step_s: float | None,
-    nodes: Sequence[str] | None,
+    asked: Asked, profile: Sequence[ProfileStep], step_s: float | None, nodes: list[str] | None
 ) -> "WhatIf":
-    """Forecast a profile from the state of a machine."""
+    """Forecast a profile from the present state of a machine."""
     from service.live.forecasting import what_if_document
 
-    limits = _asset(model.asset).limits
-    return what_if_document(_state(model, machine), limits, profile, step_s, nodes, machine.missing)
+    state, limits, missing = asked.state, asked.section.limits, asked.present.missing
+    return what_if_document(state, limits, profile, step_s, nodes or None, missing)
 
 
-def what_if_to_keep(
-    model: Model,
-    machine: PresentMachine,
-    profile: Sequence[ProfileStep],
-    step_s: float | None,
-    nodes: Sequence[str] | None,
-) -> "tuple[WhatIf, IssuedForecast | None]":
-    """Forecast a profile, and give what is kept of the forecast."""
-    from service.live.forecasting import what_if_to_keep
-
-    section, state = _asset(model.asset), _state(model, machine)
-    return what_if_to_keep(section, state, profile, step_s, nodes, machine.measured_c)
-
-
-def envelope(model: Model, machine: PresentMachine) -> "EnvelopeDocument":
+@Question()
+def envelope(asked: Asked) -> "EnvelopeDocument":
     """Give the safe operating envelope; one that still holds is not computed again."""
-    kept = _envelopes(model.asset)
-    return kept.document(_state(model, machine), machine.planned, machine.measured_c)
+    machine = asked.present
+    return _envelopes(asked.asset).document(asked.state, machine.planned, machine.measured_c)
 
 
-def advice(
-    model: Model, machine: PresentMachine, target: tuple[float, float, float]
-) -> "AdviceDocument":
-    """Rank low-risk steps by what they teach about a point."""
-    from service.live.advice import give_advice
-    from twin_core.forecasting.design import Level
-
-    settings = _asset(model.asset)
-    state = _state(model, machine)
-    return give_advice(settings, state, list(settings.channels), Level(*target))
-
-
-def windows(asset: str) -> "Sequence[WindowDocument]":
-    """Find the low-risk windows in the store."""
-    return asyncio.run(_history(asset).window_documents())
-
-
-def report(asset: str, run: "Run", format: "ReportFormat", now_us: int) -> bytes:
-    """Make the report of a run."""
-    from service.reports.files import report_file
-    from service.reports.run_limits import asset_of_run
-
-    section = asset_of_run(_prepared(), _store(), run)
-    if section is None:
-        raise NotReadyError(f"asset {asset!r} was removed, or does not fit the configuration")
-    return report_file(_store(), section, run, format, now_us)
+@Question(of_store=True)
+def windows(asked: Asked) -> "Sequence[WindowDocument]":
+    """Find the low-risk windows in the store, with operating points and score."""
+    return asyncio.run(_history(asked.asset).window_documents())
 
 
 def _asset(name: str) -> "AssetSection":
@@ -132,22 +123,22 @@ def _asset(name: str) -> "AssetSection":
     from service.site.alarmed_assets import asset_in_effect
     from service.store import StoreUnavailableError
 
-    settings, store = _prepared(), _store()
-    in_file = any(asset.id == name for asset in settings.assets)
+    configured, kept = settings(), store()
+    in_file = any(asset.id == name for asset in configured.assets)
     try:
-        overlays = store.alarm_settings.revision()
-        stored = None if in_file else store.assets.get(name)
+        overlays = kept.alarm_overlays.revision()
+        stored = None if in_file else kept.assets.get(name)
     except StoreUnavailableError:
         if name not in _sections:
             raise
-        return _sections[name][1]  # while the store is away nobody changes anything
+        return _sections[name][1]  # while the store is away nothing can change
     if not in_file and (stored is None or stored.table is None):
         raise NotReadyError(f"asset {name!r} was removed")
     revisions = overlays, stored.revision if stored else 0
     known = _sections.get(name)
     if known is None or known[0] != revisions:
-        overlay = store.alarm_settings.present({name}).get(name, {})
-        section = asset_in_effect(settings, name, stored.table if stored else None, overlay)
+        overlay = kept.alarm_overlays.present({name}).get(name, {})
+        section = asset_in_effect(configured, name, stored.table if stored else None, overlay)
         if section is None:
             raise NotReadyError(f"asset {name!r} does not fit the configuration")
         if known is not None and known[1] == section:  # of another asset: keep what is computed
@@ -156,39 +147,33 @@ def _asset(name: str) -> "AssetSection":
     return known[1]
 
 
-def _prepared() -> "Settings":
+def settings() -> "Settings":
+    """The configuration."""
     if _settings is None:
         raise RuntimeError("the worker has no configuration")
     return _settings
 
 
 @functools.cache
-def _store() -> "Store":
+def store() -> "Store":
+    """The store, opened once in each worker."""
     from service.store import Store
 
-    settings = _prepared()
-    return Store.open(settings.service.database_url, settings.data_dir)
+    configured = settings()
+    return Store.open(configured.service.database_url, configured.data_dir)
 
 
-def _state(model: Model, machine: PresentMachine) -> "EstimatedState":
-    from service.live.estimate import EstimatedState
-
-    if machine.estimate is None:
-        raise NotReadyError("the twin waits for the first good temperatures, speed and load")
-    return EstimatedState.read(_active(model), machine.estimate)
-
-
-def _active(model: Model) -> "ActiveModel":
+def _active(model: WorkerModel) -> "RunningModel":
     """The model of a version; the same object as long as the version is the same."""
     from service.jobs.models import naive_of, thermal_model
-    from service.live.estimate import ActiveModel
+    from service.live.estimate import RunningModel
     from twin_core.identification.posterior import Posterior
 
     section = _asset(model.asset)
     known = _models.get(model.asset)
     if known is None or known[0] is not section or known[1].version != model.version:
         posterior = Posterior.from_dict(from_json(model.posterior))
-        active = ActiveModel(
+        active = RunningModel(
             model.version,
             thermal_model(section),
             posterior,
@@ -200,7 +185,7 @@ def _active(model: Model) -> "ActiveModel":
 
 
 def _envelopes(asset: str) -> "EnvelopeKeeper":
-    from service.live.envelope import EnvelopeKeeper
+    from service.live.envelope_keeper import EnvelopeKeeper
 
     section = _asset(asset)
     known = _keepers.get(asset)
@@ -216,7 +201,7 @@ def _history(asset: str) -> "AssetHistory":
     section = _asset(asset)
     known = _histories.get(asset)
     if known is None or known[0] is not section:
-        settings = _prepared()
-        clock = ProcessClock.resume(settings.clock.rate, settings.data_dir)
-        known = _histories[asset] = section, AssetHistory(section, _store(), clock)
+        configured = settings()
+        clock = ProcessClock.resume(configured.clock.rate, configured.data_dir)
+        known = _histories[asset] = section, AssetHistory(section, store(), clock)
     return known[1]

@@ -235,6 +235,7 @@ def test_a_channel_is_bound_once_and_a_plan_not_at_all() -> None:
         check(source(), [], [PlanBinding("bench", CanChannel(source="drive", **SPEED))])
 
 
+@pytest.mark.wires
 def test_the_library_does_not_load_what_no_driver_needs() -> None:
     """python-can would load asammdf, and that pandas: 60 MiB in every process of a service."""
     program = "import sys, adapters.drivers.can.driver; print('pandas' in sys.modules)"

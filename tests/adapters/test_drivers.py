@@ -16,6 +16,7 @@ def test_an_unknown_driver_names_the_known() -> None:
         driver_spec("x")
 
 
+@pytest.mark.wires
 def test_the_registry_imports_no_field_library() -> None:
     code = (
         "import sys, adapters.registry; "

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from adapters.configuration import ConfigurationError
 from adapters.drivers.modbus.config import ModbusChannel, ModbusPlan, ModbusTcpSource
 from adapters.drivers.modbus.groups import Group
-from adapters.drivers.modbus.mapping import Point, UnitMap, check, compile_units
+from adapters.drivers.modbus.mapping import PolledChannel, UnitMap, check, compile_units
 from adapters.drivers.modbus.plan import ImplausiblePlanError, decode_plan
 from adapters.protocol import ChannelBinding, PlanBinding
 from adapters.samples import PlanStep, Quality
@@ -313,5 +313,5 @@ def test_an_implausible_row_spoils_the_plan(row: tuple[int, float, float]) -> No
 
 
 def test_points_know_their_name() -> None:
-    point: Point = compiled(channel("t_inner_ring_c", register=0)).points[0]
+    point: PolledChannel = compiled(channel("t_inner_ring_c", register=0)).points[0]
     assert point.label == "bench/t_inner_ring_c"

@@ -258,8 +258,8 @@ def test_only_the_link_makes_modbus_clients_and_nothing_names_a_write() -> None:
             if any(one.startswith(("pymodbus.client", "pymodbus.pdu")) for one in modules):
                 clients.add(place)
     # Benchmarks measure the library alone; the demo starts faults of its own virtual bench.
-    bench_tools = {"service/lab/demo/run.py"} | {
-        f"service/lab/benchmarks/{name}.py" for name in ("fleet", "wires")
+    bench_tools = {"service/demo/run.py"} | {
+        f"laboratory/bearing_twin_laboratory/benchmarks/{name}.py" for name in ("fleet", "wires")
     }
     assert clients - bench_tools == {"adapters/drivers/modbus/link.py"}
-    assert writers <= {"service/lab/demo/run.py"}
+    assert writers <= {"service/demo/run.py"}

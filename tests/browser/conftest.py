@@ -27,7 +27,8 @@ expect.set_options(timeout=WAIT_MS)
 # Per module, not per session: Playwright's event loop must be gone before asynchronous tests run.
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    path = needed("chromium", "chromium", "chromium-browser")
+    # Without a window it takes a fifth less processor time.
+    path = needed("chromium", "chromium-headless-shell", "chromium", "chromium-browser")
     with sync_playwright() as playwright:
         # The sandbox needs kernel rights that a container seldom has; the pages are our own.
         chromium = playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
@@ -70,15 +71,12 @@ def parts(context: BrowserContext, static_address: str) -> Page:
     return page
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def started_plant(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Plant]:
     """One service for all views: starting it takes longer than looking at it."""
-    plant = Plant(tmp_path_factory.mktemp("plant"))
-    try:
+    with Plant(tmp_path_factory.mktemp("plant")) as plant:
         plant.start()
         yield plant
-    finally:
-        plant.close()
 
 
 @pytest.fixture

@@ -12,25 +12,25 @@ import httpx2
 
 from service.clock import ProcessClock, rfc3339
 from service.jobs.models import first_model
-from service.security.keys import create_key
 from service.site.settings import load_settings
-from service.store import Store
-from tests.processes import Command, free_port, wait_until
+from tests.processes import Station, wait_until
 from tests.receivers import running_hook
+from tests.site_files import COLUMNS, UNCHECKED, asset_text, pushed, write_site
 from twin_core.identification.posterior import Posterior
-from twin_core.operating_points import OperatingPoint
+from twin_core.operating_points import OperatingSpan
 
 RATE = 60.0
 PUSH_EVERY_S = 0.25
 GOOD, BAD = 192, 16
 AWAY = 503  # what the web side says of a cell that does not answer
 BEARING, GEARBOX = "press-1", "gear-1"
+RINGS = ("t_inner_ring_c", "t_outer_ring_c")
 LONG_NAME = "Durability bench of the second test field, left spindle"
 FLEET_GROUPS = ("Durability", "Acoustics")
 _NETWORK = Path(__file__).parents[2] / "deploy/networks/gearbox.toml"
 _PUSHED = {
-    BEARING: ("t_inner_ring_c", "t_outer_ring_c", "ambient_c", "speed_rpm", "load_n"),
-    GEARBOX: ("t_bearing_c", "t_wall_c", "ambient_c", "speed_rpm", "load_n"),
+    BEARING: (*RINGS, *COLUMNS),
+    GEARBOX: ("t_bearing_c", "t_wall_c", *COLUMNS),
 }
 _CALM = {
     "t_inner_ring_c": 42.0,
@@ -41,59 +41,19 @@ _CALM = {
     "speed_rpm": 900.0,
     "load_n": 1200.0,
 }
-# A test lets temperatures jump and stand still, which no machine does: nothing of that is checked.
-_PUSH = 'source = "push", max_jump = 0, max_rate_per_s = 0, flat_line_s = 0'
-_CONFIGURATION = """
-[service]
-port = {port}
-[clock]
-rate = {rate}
-
+_CLOCK = "[clock]\nrate = {rate}\n"
+_HOOK = """
 [[notifications]]
 id = "control-room"
 kind = "webhook"
 url = "{hook}"
 priorities = [1]
-
-[[assets]]
-id = "press-1"
-bearing = "6311"
-network = "bearing-14"
-low_risk = {{ speed_rpm_max = 4300, load_n_max = 3400 }}
-limits = {{ t_inner_ring_c = {{ warning = 70, alarm = 95 }} }}
-[assets.channels]
-{bearing}
-
-[[assets]]
-id = "gear-1"
-network = "{network}"
-low_risk = {{ speed_rpm_max = 1500, load_n_max = 3000 }}
-limits = {{ t_bearing_c = {{ warning = 85, alarm = 95 }} }}
-[assets.channels]
-{gearbox}
 """
+_RING_LIMITS = "limits = { t_inner_ring_c = { warning = 70, alarm = 95 } }"
+_BEARING_LIMITS = "limits = { t_bearing_c = { warning = 85, alarm = 95 } }"
 
 
-_MANY = """
-[service]
-port = {port}
-[clock]
-rate = {rate}
-"""
-_ONE_OF_MANY = """
-[[assets]]
-id = "{id}"
-name = "{name}"
-group = "{group}"
-bearing = "6311"
-low_risk = {{ speed_rpm_max = 4300, load_n_max = 3400 }}
-limits = {{ t_inner_ring_c = {{ warning = 70, alarm = 95 }} }}
-[assets.channels]
-{channels}
-"""
-
-
-class Plant:
+class Plant(Station):
     """Two machines, a bearing and a gearbox, that measure whatever the test says.
 
     Attributes
@@ -112,49 +72,31 @@ class Plant:
     push_every_s = PUSH_EVERY_S
 
     def __init__(self, folder: Path, pushed: Mapping[str, Sequence[str]] = _PUSHED) -> None:
-        self.folder = folder
-        self.port = free_port()
         self._closing = ExitStack()
         self.hook = self._closing.enter_context(running_hook())
-        self.configuration = folder / "bearing-twin.toml"
-        self.configuration.write_text(self.configure())
+        super().__init__(folder, *write_site(folder, self.configure()))
         self.values = {asset: {n: _CALM[n] for n in names} for asset, names in pushed.items()}
         self.silent: set[str] = set()
         self.bad: set[str] = set()
-        self._keys: dict[str, str] = {}
-        self.key = self.key_of("admin")
-        self.service: Command | None = None
-        self.client = httpx2.Client(
-            base_url=self.address, headers={"X-API-Key": self.key}, timeout=30
-        )
         self._stop = threading.Event()
         self._pusher = threading.Thread(target=self._push_on)
 
     def configure(self) -> str:
-        """Text of the configuration file."""
-        return _CONFIGURATION.format(
-            port=self.port,
-            rate=self.rate,
-            network=_NETWORK,
-            hook=self.hook.url,
-            bearing=_channels(_PUSHED[BEARING]),
-            gearbox=_channels(_PUSHED[GEARBOX]),
+        """Text of the configuration file, without the service's section."""
+        # A test lets temperatures jump and stand still, which no machine does.
+        bearing, gearbox = (pushed(names, UNCHECKED) for names in _PUSHED.values())
+        return (
+            _CLOCK.format(rate=self.rate)
+            + _HOOK.format(hook=self.hook.url)
+            + asset_text(BEARING, bearing, 'network = "bearing-14"', _RING_LIMITS)
+            + asset_text(
+                GEARBOX,
+                gearbox,
+                _BEARING_LIMITS,
+                machine=f'network = "{_NETWORK}"',
+                low_risk=(1500, 3000),
+            )
         )
-
-    @property
-    def address(self) -> str:
-        return f"http://127.0.0.1:{self.port}"
-
-    def key_of(self, role: str) -> str:
-        """A key of a role, made once."""
-        if role not in self._keys:
-            self._keys[role] = self.create_key(role)
-        return self._keys[role]
-
-    def create_key(self, role: str) -> str:
-        settings = load_settings(self.configuration)
-        with Store.open(settings.service.database_url, settings.data_dir) as store:
-            return create_key(store, role).text
 
     def start(self) -> None:
         if BEARING in self.values:
@@ -172,32 +114,27 @@ class Plant:
 
     def identify(self, asset: str) -> None:
         """Let the service begin with a model that counts as identified, with the prior's spread."""
-        settings = load_settings(self.configuration)
-        section = next(one for one in settings.assets if one.id == asset)
+        assets = load_settings(self.configuration).assets
+        section = next(one for one in assets if one.id == asset)
         document = first_model(section)
         posterior = Posterior.from_dict(document["posterior"])
-        point = OperatingPoint(4200.0, 3300.0, 7200.0, 0.0)
+        point = OperatingSpan(4200.0, 3300.0, 7200.0, 0.0)
         trained = replace(posterior.trained, operating_points=(point,), minutes=240)
         document["posterior"] = replace(posterior, trained=trained).to_dict()
         now_us = wall.time_ns() // 1000
-        with Store.open(settings.service.database_url, settings.data_dir) as store:
+        with self.open_store() as store:
             version = store.models.add(asset, "candidate", "", document, now_us)
             store.models.activate(asset, version, "test", "", now_us)
-
-    def start_service(self) -> None:
-        self.service = Command(["serve", "-c", str(self.configuration)], self.folder / "serve.log")
 
     def offer(self, asset: str, samples: list[dict[str, Any]]) -> httpx2.Response:
         return self.client.post(f"/api/v1/assets/{asset}/measurements", json={"samples": samples})
 
-    def push(self, asset: str, samples: list[dict[str, Any]]) -> None:
+    def push_all(self, asset: str, samples: list[dict[str, Any]]) -> None:
         answer = self.offer(asset, samples)
         assert answer.is_success, answer.text
 
     def get(self, path: str, **query: Any) -> Any:
-        answer = self.client.get(f"/api/v1{path}", params=query)
-        assert answer.is_success, answer.text
-        return answer.json()
+        return super().get(f"/api/v1{path}", **query)
 
     def alarm(self, kind: str, asset: str = BEARING) -> Any:
         """The open alarm of a kind, None when there is none."""
@@ -237,9 +174,7 @@ class Plant:
         self._stop.set()
         if self._pusher.ident is not None:
             self._pusher.join()
-        self.client.close()
-        if self.service is not None:
-            self.service.end()
+        super().close()
         self._closing.close()
 
 
@@ -254,12 +189,14 @@ class Fleet(Plant):
         super().__init__(folder, dict.fromkeys(self.ids, _PUSHED[BEARING]))
 
     def configure(self) -> str:
-        return _MANY.format(port=self.port, rate=self.rate) + "".join(
-            _ONE_OF_MANY.format(
-                id=asset,
-                name=LONG_NAME if asset == self.ids[0] else asset.capitalize(),
-                group=FLEET_GROUPS[number % 2],
-                channels=_channels(_PUSHED[BEARING]),
+        channels = pushed(_PUSHED[BEARING], UNCHECKED)
+        return _CLOCK.format(rate=self.rate) + "".join(
+            asset_text(
+                asset,
+                channels,
+                f'name = "{LONG_NAME if asset == self.ids[0] else asset.capitalize()}"',
+                f'group = "{FLEET_GROUPS[number % 2]}"',
+                _RING_LIMITS,
             )
             for number, asset in enumerate(self.ids)
         )
@@ -270,7 +207,3 @@ class Fleet(Plant):
             self.get(f"/assets/{asset}/snapshot")["tags"]["t_inner_ring_c"]["quality"] >= 192
             for asset in self.values
         )
-
-
-def _channels(names: Sequence[str]) -> str:
-    return "\n".join(f"{name} = {{ {_PUSH} }}" for name in names)

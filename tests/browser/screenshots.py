@@ -3,14 +3,21 @@
 ``python -m tests.browser.screenshots ADDRESS KEY FOLDER [NAME ...]``, for instance of a
 ``bearing-twin demo --port 8080``, which prints address and key. Names of views, sizes and themes
 restrict what is taken: ``operator whatif wall dark``. ``login`` is the page without a key,
-``away`` the operator's when the service no longer answers.
+``offline`` the operator's when the service no longer answers.
 """
 
 import sys
 from collections.abc import Collection
 from pathlib import Path
 
-from playwright.sync_api import Browser, BrowserContext, Page, WebSocketRoute, sync_playwright
+from playwright.sync_api import (
+    Browser,
+    BrowserContext,
+    Error,
+    Page,
+    WebSocketRoute,
+    sync_playwright,
+)
 
 from tests.programs import path_of
 
@@ -25,7 +32,7 @@ VIEWS = (
     "accuracy",
     "alarms",
     "assets",
-    "away",
+    "offline",
 )
 SIZES = {
     "desk": (1440, 900),
@@ -54,8 +61,8 @@ def shoot(browser: Browser, address: str, key: str, folder: Path, names: Collect
                     page.goto(address)
                     page.get_by_label("Access key").wait_for()
                 else:
-                    _open(page, address, key, "operator" if view == "away" else view)
-                if view == "away":
+                    _open(page, address, key, "operator" if view == "offline" else view)
+                if view == "offline":
                     context.set_offline(True)
                     for line in lines:
                         line.close()
@@ -63,7 +70,7 @@ def shoot(browser: Browser, address: str, key: str, folder: Path, names: Collect
                 page.wait_for_timeout(SETTLE_MS)
                 page.screenshot(
                     path=folder / f"{view}-{size}-{theme}.png",
-                    full_page=view != "away" and SIZES[size][0] < 1500,
+                    full_page=view != "offline" and SIZES[size][0] < 1500,
                 )
             context.close()
 
@@ -90,7 +97,11 @@ def _page(context: BrowserContext, lines: list[WebSocketRoute]) -> Page:
 
     page = context.new_page()
     page.route_web_socket("**/*", through)
-    page.on("pageerror", lambda error: sys.stderr.write(f"page error: {error}\n"))
+
+    def report(error: Error) -> None:
+        sys.stderr.write(f"page error: {error}\n")
+
+    page.on("pageerror", report)
     return page
 
 

@@ -1,17 +1,10 @@
 """In which order alarms are shown, and what the banner and the fleet's card make of them."""
 
-import random
-from dataclasses import replace
-from itertools import product
 from typing import Any
 
 import pytest
 from playwright.sync_api import Page
 
-from service.alarms.records import normal_alarm, urgency
-from service.alarms.states import AlarmState
-from service.documents.alarms import alarm_document
-from service.domain.alarm_condition import AlarmCondition
 from tests.browser.test_dashboard_parts import run
 
 pytestmark = pytest.mark.browser
@@ -28,82 +21,20 @@ def alarm(name: str, **facts: Any) -> dict[str, Any]:
 LOST = {"kind": "stale data", "channel": "source:push", "limit_level": None}
 PREDICTED = {"kind": "forecast limit", "predicted": True}
 
-RANKED = (
-    "const { ranked, worst } = await import('/js/alarms.js');"
-    "const all = new Map(alarms.map((one) => [one.id, one]));"
-    "return [ranked(all).map((one) => one.id), worst(all)?.id ?? null];"
-)
-
-
-def test_unacknowledged_alarms_are_ranked_by_priority_then_by_how_certain_they_are(
-    parts: Page,
-) -> None:
-    later = {"raised_at": "2026-11-22T09:00:00.000Z"}
-    given = [
-        alarm("lost 2", **LOST, **later),
-        alarm("lost 1", **LOST, priority=1),
-        alarm("predicted 2", **PREDICTED, **later),
-        alarm("predicted 1", **PREDICTED, priority=1),
-        alarm("over warning"),
-        alarm("over warning later", **later),
-        alarm("over alarm", priority=1),
-        alarm("over alarm, seen", priority=1, state="ACKED", **later),
-        alarm("shelved", priority=1, state="SHLVD", **later),
-    ]
-    order, first = run(parts, RANKED, alarms=given)
-    assert order == [
-        "over alarm", "lost 1", "predicted 1", "over warning later", "over warning", "lost 2",
-        "predicted 2", "over alarm, seen", "shelved",
-    ]  # fmt: skip
-    assert first == "over alarm"
-
-
-def test_the_service_lists_alarms_in_the_order_of_the_page(parts: Page) -> None:
-    facts = [
-        {"kind": kind, "predicted": predicted, "channel": channel}
-        for kind, predicted, channel in (
-            ("measured limit", False, "t_inner_ring_c"),
-            ("stale data", False, "source:push"),
-            ("sensor fault", False, "t_outer_ring_c"),
-            ("forecast limit", True, "t_inner_ring_c"),
-        )
-    ]
-    condition = AlarmCondition(
-        "bench-1", "measured limit", "t_inner_ring_c", "warning", True, 91.0, "over warning", 2
-    )
-    one = normal_alarm(condition, 0)
-    alarms = [
-        replace(one, id=f"{number:03}", state=state.value, priority=priority, **fact)
-        for number, (state, priority, fact) in enumerate(
-            product(AlarmState, (1, 2, 3), facts), start=100
-        )
-        if state != AlarmState.NORM
-    ]
-    # No two at the same time; some were set aside before they were ever raised.
-    alarms = [
-        replace(each, since_us=time_us, raised_at_us=time_us if each.state != "DSUPR" else 0)
-        for each, time_us in zip(alarms, range(10**15, 10**16, 10**12), strict=False)
-    ]
-    shuffled = random.Random(5).sample(alarms, len(alarms))
-    documents = [alarm_document(each).model_dump(mode="json") for each in shuffled]
-    order, _ = run(parts, RANKED, alarms=documents)
-    assert order == [each.id for each in sorted(alarms, key=urgency)]
-
 
 BANNER = """
-const { Banner } = await import('/js/banner.js');
-const { h } = await import('/js/dom.js');
-const { Store, emptyAsset } = await import('/js/store.js');
+const { Banner } = await import('/js/app/frame.js');
+const { h } = await import('/js/parts/dom.js');
+const { emptyAsset } = await import('/js/live/store.js');
 const box = h('section');
 let asked = 0;
 const taken = [];
 const desk = { refusal: () => '', take: (name, alarm) => taken.push([name, alarm.id]) };
 const banner = new Banner(box, desk, () => { asked += 1; });
-const state = { ...emptyAsset(), link: { status: 'live' }, alarmsKnown: true,
-  alarms: new Map(alarms.map((one) => [one.id, one])) };
+const state = { ...emptyAsset(), link: { status: 'live' }, alarmsKnown: true };
 const live = () => ({ nowMs: Date.parse('2026-11-22T08:03:10.000Z'), value: () => null,
   crossing: () => null });
-banner.update([{ store: new Store(state) }], { nameOf: () => '', live, blind });
+banner.update(alarms, { nameOf: () => '', live, blind, states: [state] });
 const buttons = [...box.querySelectorAll('button, a')].filter((one) => !one.hidden);
 const texts = buttons.map((one) => one.textContent);
 buttons.find((one) => one.textContent.includes('more'))?.click();
@@ -125,6 +56,18 @@ def test_lost_data_enter_the_banner_and_are_acknowledged_there(parts: Page) -> N
     assert shown["taken"] == [["acknowledge", "No data from pt100 (6 channels)"]]
 
 
+def test_a_probability_is_shown_once_and_outside_of_what_is_announced(parts: Page) -> None:
+    """It changes with each forecast: a screen reader must not say the alarm again each time."""
+    text = "Inner ring may exceed warning 70 °C"
+    given = alarm("a", message=f"{text}, 21 %", probability=0.21, lead_time_s=7200, **PREDICTED)
+    announced = BANNER.replace(
+        "{ text:", "{ said: box.querySelector('[role=status]').textContent, text:"
+    )
+    shown = run(parts, announced, alarms=[given], blind=False)
+    assert shown["said"].replace("\u00a0", " ") == f"PREDICTED {text}"
+    assert shown["text"].replace("\u00a0", " ").count("21 %") == 1
+
+
 def test_a_quiet_banner_does_not_promise_alarms_that_cannot_come(parts: Page) -> None:
     suppressed = [alarm("a", state="SHLVD", **LOST), alarm("b", state="DSUPR")]
     shown = run(parts, BANNER, alarms=suppressed, blind=True)
@@ -133,29 +76,76 @@ def test_a_quiet_banner_does_not_promise_alarms_that_cannot_come(parts: Page) ->
     assert run(parts, BANNER, alarms=[], blind=False)["text"].startswith("No active alarms")
 
 
-def test_the_summary_says_how_alarms_are_suppressed(parts: Page) -> None:
-    text = run(
-        parts,
-        "const { summary } = await import('/js/alarms.js');"
-        "return summary(new Map(alarms.map((one) => [one.id, one])));",
-        alarms=[
-            alarm("a"), alarm("b", state="ACKED"), alarm("c", state="RTNUN"),
-            alarm("d", state="SHLVD"), alarm("e", state="DSUPR"), alarm("f", state="DSUPR"),
-        ],
-    )  # fmt: skip
-    assert text == "2 active, 2 unacknowledged, 3 suppressed (shelved 1, by design 2)"
+GATEWAY = {
+    "kind": "stale data", "channel": "source:gateway-1", "limit_level": None, "asset": None,
+    "cause": {"kind": "source", "id": "gateway-1"}, "message": "gateway-1: no data, 200 assets",
+    "assets": [f"bench-{number}" for number in range(1, 201)],
+}  # fmt: skip
+
+ONE_ROW = """
+const { AlarmList } = await import('/js/alarms/list.js');
+const desk = { actionsOf: () => ['acknowledge'], text: (name) => name,
+  refusal: () => '', whyOffline: () => '' };
+const { draw, v } = await import('/js/parts/panel.js');
+const box = document.createElement('div');
+document.body.append(box);
+const live = () => ({ nowMs: Date.parse('2026-11-22T08:03:10.000Z'), value: () => null });
+const byId = new Map(alarms.map((one) => [one.id, one]));
+draw(box, v(AlarmList, { desk, alarms: byId, live, nameOf: () => '' }));
+const rows = [...box.querySelectorAll('li')].map((row) => row.querySelector('.m').innerText);
+box.querySelector('button.link').click();
+await new Promise((resolve) => setTimeout(resolve, 50));
+const dialog = document.querySelector('dialog');
+const links = [...dialog.querySelectorAll('.assets a')].map((one) => one.getAttribute('href'));
+dialog.close('');
+box.remove();
+return { rows, links };
+"""
 
 
-def test_an_alarm_that_only_rises_fast_is_not_over_a_limit(parts: Page) -> None:
-    standing = run(
+def test_a_lost_source_is_one_row_with_the_list_of_its_assets(parts: Page) -> None:
+    shown = run(parts, ONE_ROW, alarms=[alarm("a", **GATEWAY)])
+    assert len(shown["rows"]) == 1
+    row = shown["rows"][0].replace("\u00a0", " ")
+    assert row.startswith("gateway-1: no data, 200 assets")
+    assert "List of 200 assets" in row
+    assert len(shown["links"]) == 200
+    assert shown["links"][41] == "#operator/bench-42"
+
+
+SHARED = """
+const { Live } = await import('/js/live/live.js');
+const { ProcessClock } = await import('/js/live/clock.js');
+const live = new Live(new ProcessClock(), { onLoggedOut() {}, onAssets() {}, onFeed() {} });
+live.assets = new Map(alarms[0].assets.map((id) => [id, { id }]));
+const feeds = ['bench-1', 'bench-2', 'bench-3'].map((id) => live.feedOf(id));
+const message = (data) => live.receive({ type: 'alarm', asset: null, epoch: 'e', seq: 1, data,
+  time: '2026-11-22T08:03:10.000Z', sent_at: '2026-11-22T08:03:10.000Z' });
+const told = [];
+for (const alarm of alarms) {
+  message(alarm);
+  told.push([live.alarms().length, live.feeds.size,
+    feeds.map((feed) => feed.store.get('alarms').size)]);
+}
+return told;
+"""
+
+
+def test_the_alarm_of_a_source_is_known_once_and_to_the_assets_that_it_names(parts: Page) -> None:
+    given = alarm("a", **GATEWAY)
+    told = run(
         parts,
-        "const { standingAlarm } = await import('/js/fleet_verdict.js');"
-        "return standingAlarm(new Map(alarms.map((one) => [one.id, one])))?.id ?? null;",
+        SHARED,
         alarms=[
-            alarm("rises", kind="rate of rise", priority=1),
-            alarm("over warning"),
-            alarm("back", priority=1, state="RTNUN"),
-            alarm("will pass", priority=1, **PREDICTED),
+            given,
+            given | {"assets": ["bench-2"], "asset": "bench-2"},
+            given | {"assets": ["bench-2", "bench-77"]},
+            given | {"state": "NORM"},
         ],
     )
-    assert standing == "over warning"
+    assert told == [
+        [1, 3, [1, 1, 1]],
+        [1, 3, [0, 1, 0]],
+        [1, 3, [0, 1, 0]],
+        [0, 3, [0, 0, 0]],
+    ], "none of 200 assets gets a feed for it"

@@ -81,7 +81,7 @@ def test_a_setting_is_edited_and_undone_by_keyboard_on_a_phone(
     assert limits["t_inner_ring_c"]["warning"] == 66.5
     panel.get_by_role("button", name="History").press("Enter")
     undo = panel.get_by_role("button", name=re.compile("Undo setpoint: 66.5"))
-    expect(panel.locator(".told li").first).to_contain_text("as the maker says")
+    expect(panel.locator(".notices li").first).to_contain_text("as the maker says")
     assert not violations_in_all_sizes(page, "history of settings")
     undo.first.press("Enter")
     page.get_by_role("dialog").get_by_role("button", name="Change", exact=True).press("Enter")

@@ -62,10 +62,10 @@ def test_a_chart_is_read_with_the_keyboard(screen: Screen, problems: list[str]) 
     wait_until(lambda: "Inner ring" in read(page, "ArrowLeft"), 60, "a first reading")
     first = read(page, "End")
     assert read(page, "ArrowLeft", 2) != first
-    reading = read(page, "Enter")
-    assert "0 s after the mark" in reading
     # Tests before this one let temperatures jump: what is foreseen from there may be negative.
-    assert re.search(r"Inner ring −?[\d.]+ °C.*Δ .*0\.0 K", reading)
+    marked = r"Inner ring −?[\d.]+ °C.*Δ .*0\.0 K.*\D0 s after the mark"
+    # Where new values come between the key and the look, the chart has moved on below the cursor.
+    wait_until(lambda: re.search(marked, read(page, "Enter")), 60, "a reading at the mark")
     assert "before the mark" in read(page, "Home")
     assert page.locator(".p-trend .tip").is_visible()
     box.press("Escape")

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import httpx2
 import pytest
-from playwright.sync_api import Browser, BrowserContext, Page, expect
+from playwright.sync_api import Browser, BrowserContext, Dialog, Page, expect
 from processes import Command, free_port, wait_until
 from strange_bench import (
     AMBIENT_C,
@@ -104,6 +104,20 @@ def use(page: Page, button: str, channel: str, scale: str | None = None) -> None
     expect(dialog).to_have_count(0)
 
 
+def load_again(page: Page) -> None:
+    """The browser asks before an unsaved draft is left; what was entered is there afterwards."""
+    asked: list[str] = []
+
+    def accept(dialog: Dialog) -> None:
+        asked.append(dialog.type)
+        dialog.accept()
+
+    page.once("dialog", accept)
+    page.reload()
+    expect(page.get_by_text("before the page was loaded again is here")).to_be_visible()
+    assert asked == ["beforeunload"]
+
+
 def test_a_newcomers_bench_is_live_from_the_browser(
     context: BrowserContext, service: EmptyService, bench: StrangeBench, tmp_path: Path
 ) -> None:
@@ -111,7 +125,7 @@ def test_a_newcomers_bench_is_live_from_the_browser(
     page = context.new_page()
     page.set_default_timeout(WAIT_MS)
     page.goto(f"{service.address}/#key={service.key}")
-    page.get_by_role("link", name="Commission a bench: from its address").click()
+    page.get_by_role("link", name="Commission an asset: from its address").click()
     expect(page.get_by_role("heading", name="Commissioning", exact=True)).to_be_visible()
     shot(page, "1-empty")
 
@@ -128,7 +142,7 @@ def test_a_newcomers_bench_is_live_from_the_browser(
     shot(page, "2-registers")
     first = FIRST_REGISTER
     use(page, f"Use register {first} as float32 CDAB: {OUTER_C}", "Outer ring (°C)")
-    use(page, f"Use register {first + 2} as int16: {INNER_C * 10:g}", "Inner ring (°C)", "0.1")
+    use(page, f"Use register {first + 2} as int16: {INNER_C * 10:g}", "Inner ring (°C)", "0,1")
     use(page, f"Use register {first + 3} as float32 CDAB: {AMBIENT_C}", "Ambient (°C)")
     page.get_by_role("button", name="Stop reading").click()
 
@@ -148,19 +162,31 @@ def test_a_newcomers_bench_is_live_from_the_browser(
     use(page, "Use ForceCell.RadialForce", "Load (N)")
     for step in ("sources", "channels"):
         done(page, step)
+    expect(page.locator('[data-channel="t_inner_ring_c"]')).to_contain_text("int16 × 0.1")
+    load_again(page)
+    for step in ("sources", "channels"):
+        done(page, step)
+    expect(page.locator('[data-channel="t_inner_ring_c"]')).to_contain_text(f"{INNER_C:g} °C")
 
     save = page.get_by_role("button", name="Save", exact=True)
     expect(save).to_have_attribute("title", "First: the bearing, limits.")
-    page.get_by_label("Id of the bench").fill("spindle-1")
+    page.get_by_label("Asset id").fill("spindle-1")
     page.get_by_label("Bearing", exact=True).select_option("6016 (80 × 125 × 22 mm)")
     done(page, "bearing")
     corner = page.get_by_role("slider", name="Corner of the low-risk region")
     corner.press("ArrowLeft")
     expect(page.get_by_label("Low risk up to this speed in rpm")).to_have_value("4200")
     page.get_by_label("Low risk up to this load in N").fill("3000")
-    page.get_by_label("Inner ring: warning in °C").fill("70")
-
-    page.get_by_label("Region and limits are right for this bench").check()
+    # As in Germany, in a browser whose language is English.
+    warning = page.get_by_label("Inner ring: warning in °C")
+    warning.fill("1,070")
+    expect(page.get_by_text("“1,070” can mean 1.070 or 1070: write one of these.")).to_be_visible()
+    expect(page.locator('[data-step="limits"] .mark')).to_have_text(
+        "○ Inner ring: both limits are needed."
+    )
+    warning.fill("70,5")
+    expect(page.get_by_text("= 70.5 °C")).to_be_visible()
+    page.get_by_label("I confirm region and limits").check()
     done(page, "limits")
 
     page.get_by_role("button", name="Check everything").click()
@@ -169,6 +195,7 @@ def test_a_newcomers_bench_is_live_from_the_browser(
     shot(page, "4-checked")
     save.click()
     expect(page.get_by_text("✓ Live: 5 of 5 channels are live.")).to_be_visible()
+    assert page.evaluate("sessionStorage.getItem('commissioning')") is None
     took_s = time.monotonic() - began_s
     shot(page, "5-live")
 
@@ -185,6 +212,7 @@ def test_a_newcomers_bench_is_live_from_the_browser(
     assert {name: snapshot["tags"][name]["value"] for name in wanted} == wanted
     saved = service.tables()["assets"][0]
     assert saved["low_risk"] == {"speed_rpm_max": 4200, "load_n_max": 3000}
+    assert saved["limits"]["t_inner_ring_c"] == {"warning": 70.5, "alarm": 105}
     assert saved["bearing"] == "6016"
     page.get_by_role("link", name="Open the operator’s page").click()
     expect(page.locator("body")).to_have_attribute("data-view", "operator")
@@ -192,7 +220,7 @@ def test_a_newcomers_bench_is_live_from_the_browser(
     sys.stdout.write(f"live after {took_s:.0f} s\n")
 
 
-def test_a_saved_bench_is_undone_and_had_again(
+def test_a_saved_asset_is_undone_and_restored(
     context: BrowserContext, service: EmptyService
 ) -> None:
     page = context.new_page()
@@ -202,7 +230,7 @@ def test_a_saved_bench_is_undone_and_had_again(
     page.goto(f"{service.address}/#commissioning")
     axe = files("axe_playwright_python").joinpath("axe.min.js").read_text("utf-8")
     page.evaluate(axe)
-    expect(page.get_by_text("in the file now")).to_be_visible()
+    expect(page.get_by_text("current", exact=True)).to_be_visible()
     found = violations_in_all_sizes(page, "commissioning")
     page.set_viewport_size(PHONE)  # type: ignore[arg-type]
     shot(page, "6-phone")
@@ -211,14 +239,14 @@ def test_a_saved_bench_is_undone_and_had_again(
     page.set_viewport_size({"width": 1280, "height": 900})
     page.evaluate("localStorage.setItem('theme', 'light')")
     page.reload()
-    expect(page.get_by_text("in the file now")).to_be_visible()
+    expect(page.get_by_text("current", exact=True)).to_be_visible()
     page.evaluate(axe)
     shot(page, "7-light")
     found += violations_in_all_sizes(page, "commissioning, other theme")
     assert not found, "\n".join(found)
-    page.get_by_role("button", name="Have version 1 again").click()
-    page.get_by_role("dialog").get_by_role("button", name="Have it again").click()
-    expect(page.get_by_text("Version 1 is in the file again.")).to_be_visible()
+    page.get_by_role("button", name="Restore…, version 1").click()
+    page.get_by_role("dialog").get_by_role("button", name="Restore").click()
+    expect(page.get_by_text("Version 1 is restored.")).to_be_visible()
     assert "assets" not in service.tables()
 
 
@@ -241,4 +269,4 @@ def test_only_an_administrator_commissions(
     page.set_default_timeout(WAIT_MS)
     page.goto(f"{service.address}/#key={made[0]}")
     expect(page.get_by_text("No asset is configured yet.")).to_be_visible()
-    expect(page.get_by_role("link", name="Commission a bench")).to_have_count(0)
+    expect(page.get_by_role("link", name="Commission an asset")).to_have_count(0)

@@ -22,8 +22,7 @@ expect.set_options(timeout=WAIT_MS)
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
-    site = Site(tmp_path_factory.mktemp("site"), "staircase", RATE)
-    try:
+    with Site(tmp_path_factory.mktemp("site"), "staircase", RATE) as site:
         site.start_bench()
         site.start_service()
         wait_until(
@@ -32,8 +31,6 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
             "a live forecast",
         )
         yield site
-    finally:
-        site.close()
 
 
 @pytest.fixture
@@ -105,32 +102,17 @@ def test_live_values_move(page: Page, problems: list[str]) -> None:
     assert problems == []
 
 
-def test_forecast_is_drawn_and_answers_are_given(page: Page, problems: list[str]) -> None:
+def test_before_the_first_identification_nothing_looks_like_a_forecast(
+    page: Page, problems: list[str]
+) -> None:
     for label in ("Is the next step safe", "Time to limit"):
         tile = page.locator(f'.ans[aria-label="{label}"]')
         # The bench has only begun: nothing has been identified, and the forecast is the prior's.
         expect(tile.locator(".word")).to_have_text("Unknown")
         expect(tile).to_contain_text("the model was never identified")
     expect(page.locator(".ans h2").nth(1)).to_have_text(re.compile("Next step in"))
-    wait_until(lambda: fan_pixels(page) > 2000, 60, "a forecast fan on the canvas")
-    assert problems == []
-
-
-def test_the_band_of_the_whole_run_is_chosen_by_keyboard(page: Page, problems: list[str]) -> None:
-    wait_until(lambda: fan_pixels(page) > 2000, 60, "a forecast fan on the canvas")
-    keys = page.locator(".p-trend .bandkeys")
-    moment, whole = (keys.get_by_role("button", name=name) for name in ("each moment", "whole run"))
-    expect(moment).to_have_attribute("aria-pressed", "true")
-    before = fan_pixels(page)
-    whole.focus()
-    whole.press("Enter")
-    expect(whole).to_have_attribute("aria-pressed", "true")
-    expect(keys).to_contain_text("90 % whole run")
-    wait_until(lambda: fan_pixels(page) not in (0, before), 60, "another band")
-    page.goto(page.url.split("#")[0] + "#whatif")
-    expect(page.locator(".p-trend .bandkeys")).to_contain_text("90 % whole run")
-    page.get_by_role("button", name="each moment").click()
-    expect(page.locator(".p-trend .bandkeys")).not_to_contain_text("90 % whole run")
+    expect(page.locator(".p-trend header")).to_contain_text("never identified: no forecast")
+    assert fan_pixels(page) < 2000
     assert problems == []
 
 
@@ -161,7 +143,9 @@ def test_what_if_answers_and_follows_the_sliders(page: Page, problems: list[str]
 def test_envelope_is_drawn_and_asked_about(page: Page, problems: list[str]) -> None:
     page.goto(page.url.split("#")[0] + "#envelope")
     point = page.locator("#probe")
-    expect(point.locator(".word")).to_have_text(re.compile("Safe|At risk|Not safe"))
+    # By the rule of the verdict: the words of a model that was never identified are none.
+    expect(point.locator(".word")).to_have_text("Unknown")
+    expect(point).to_contain_text("the model was never identified")
     canvas = page.locator(".map canvas")
     colours = canvas.evaluate(
         """(canvas) => {
@@ -257,20 +241,19 @@ def test_lost_bench_shows_as_unknown_and_its_alarm_is_acknowledged(
     expect(page.locator('.ans[aria-label="Is it safe now"] .word')).to_have_text(re.compile("Safe"))
 
 
-def test_service_away_is_said_and_the_page_comes_back(
+def test_service_offline_is_said_and_the_page_comes_back(
     page: Page, site: Site, problems: list[str]
 ) -> None:
     assert site.service is not None
-    wait_until(lambda: fan_pixels(page) > 2000, 60, "a forecast fan on the canvas")
+    words = page.locator(".ans .word")
+    expect(words.first).to_have_text(re.compile("Safe"))
     assert problems == []
     site.service.kill()
     expect(page.locator("#lost")).to_contain_text("Connection lost")
-    words = page.locator(".ans .word")
     expect(words).to_have_text(["Unknown", "Unknown", "Unknown"])
     expect(page.locator(".clock")).to_have_text(re.compile("old"))
     expect(page.locator('[data-figure="4"]')).to_have_class(re.compile(r"\bst\b"))
     assert page.locator(".al button:enabled:visible").count() == 0
-    wait_until(lambda: fan_pixels(page) == 0, 30, "no forecast is drawn any more")
 
     site.start_service()
     expect(page.locator("#lost")).to_be_empty()

@@ -1,8 +1,6 @@
 """More machines than cards: what needs attention first, and a map; nothing more is followed."""
 
-import os
 import re
-import signal
 from collections.abc import Iterator
 from importlib.resources import files
 
@@ -23,14 +21,11 @@ PHONE = {"width": 390, "height": 844}
 
 @pytest.fixture(scope="module")
 def fleet(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Fleet]:
-    fleet = Fleet(tmp_path_factory.mktemp("fleet"), COUNT)
-    fleet.values[fleet.ids[HOT]]["t_inner_ring_c"] = 97.5
-    try:
+    with Fleet(tmp_path_factory.mktemp("fleet"), COUNT) as fleet:
+        fleet.values[fleet.ids[HOT]]["t_inner_ring_c"] = 97.5
         fleet.start()
         wait_until(lambda: fleet.alarm("measured limit", fleet.ids[HOT]), 60, "an alarm")
         yield fleet
-    finally:
-        fleet.close()
 
 
 def lines(page: Page) -> list[str]:
@@ -135,13 +130,9 @@ def test_old_states_are_called_old(context: BrowserContext, fleet: Fleet) -> Non
     page = look(context, fleet)
     expect(page.locator(".attn a").first).to_be_visible()
     assert fleet.service is not None
-    cell = fleet.service.side("cell")
-    os.kill(cell, signal.SIGSTOP)
-    try:
+    with fleet.service.frozen("cell"):
         expect(page.get_by_text("States are not current")).to_be_visible()
         expect(page.locator("main")).to_have_class(re.compile("old"))
-    finally:
-        os.kill(cell, signal.SIGCONT)
     expect(page.get_by_text("States are not current")).to_be_hidden()
     expect(page.locator("main")).not_to_have_class(re.compile("old"))
 
@@ -153,12 +144,12 @@ def test_ten_thousand_cells_are_laid_out_and_change_one_by_one(parts: Page) -> N
         """async (count) => {
           document.head.innerHTML = '<link rel="stylesheet" href="../css/tokens.css">'
             + '<link rel="stylesheet" href="../css/fleet.css">';
-          const { StateMap } = await import('/js/state_map.js');
+          const { StateMap } = await import('/js/fleet/state_map.js');
           const opened = [];
           const map = new StateMap({ open: (id) => opened.push(id), explain: async () => '' });
           map.element.style.height = '800px';
           map.element.style.overflowY = 'auto';
-          document.body.append(map.told, map.element);
+          document.body.append(map.status, map.element);
           const assets = Array.from({ length: count }, (_, i) => ({ group: `Line ${i % 7}`,
             id: `axle-${i}`, name: `Axle ${i}`, mark: "abdefghij"[i % 9] }));
           map.show(assets);

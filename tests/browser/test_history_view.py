@@ -32,7 +32,7 @@ def past(started_plant: Plant) -> int:
             }
             for second in range(first, min(first + 5000, LENGTH_S))
         ]
-        started_plant.push(BEARING, samples)
+        started_plant.push_all(BEARING, samples)
     return start_us
 
 
@@ -91,7 +91,7 @@ def test_zoom_to_raw_and_back(screen: Screen, past: int, problems: list[str]) ->
     count = int(status.inner_text().split()[0])
     assert count == pytest.approx(0.03 * LENGTH_S, rel=0.1)
     assert violet(page) == 0
-    page.get_by_role("button", name="Previous range").click()
+    page.get_by_role("button", name="Back to the previous range").click()
     expect(status).to_contain_text("per 15 s")
     assert problems == []
 
@@ -112,4 +112,37 @@ def test_what_is_seen_is_saved(screen: Screen, past: int, problems: list[str], f
         assert rows[1].startswith(f"{rfc3339(past + 60 * US)},ambient_c,")
     else:
         assert parquet.read_table(path).num_rows == 600
+    assert problems == []
+
+
+def test_the_zone_is_that_of_the_range(screen: Screen, problems: list[str]) -> None:
+    """Of a day in July, and of a range over the night in which the clocks are changed."""
+    page = screen(f"history/{BEARING}")
+    controls = page.locator(".p-hctl")
+    for start, end, zone in (
+        ("2026-07-01T10:00:00", "2026-07-01T18:00:00", "CEST"),
+        ("2026-01-10T10:00:00", "2026-01-10T18:00:00", "CET"),
+        ("2026-03-28T12:00:00", "2026-03-29T12:00:00", "CET to CEST"),
+    ):
+        page.get_by_label("From", exact=True).fill(start)
+        page.get_by_label("To", exact=True).fill(end)
+        page.get_by_label("To", exact=True).dispatch_event("change")
+        expect(controls.get_by_text(zone, exact=True)).to_be_visible()
+    assert problems == []
+
+
+def test_the_limits_of_a_line_are_picked_in_the_table(
+    screen: Screen, past: int, problems: list[str]
+) -> None:
+    page = screen(f"history/{BEARING}")
+    row = page.locator(".p-hval tr", has_text="Inner ring").first
+    pick = row.get_by_role("button", name="70 / 95")
+    expect(pick).to_have_attribute("aria-pressed", "false")
+    pick.click()
+    expect(pick).to_have_attribute("aria-pressed", "true")
+    expect(page.locator(".p-hval tr", has_text="Ambient").get_by_role("button")).to_be_hidden()
+    row.get_by_role("checkbox").uncheck()
+    expect(pick).to_be_disabled()
+    page.get_by_role("checkbox", name="Inner ring, twin").check()
+    expect(pick).to_be_enabled()  # the limits of the ring hold for the twin's estimate of it
     assert problems == []

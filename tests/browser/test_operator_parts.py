@@ -14,9 +14,10 @@ def test_an_estimate_that_says_nothing_has_no_figure_and_no_heat(parts: Page) ->
     shown = run(
         parts,
         """
-        const { Section } = await import('/js/section.js');
+        const { Section } = await import('/js/operator/section.js');
+        const { place } = await import('/js/parts/panel.js');
         const box = document.createElement('div');
-        new Section(box).update({ nodes: { 1: 32, 3: 105, 4: 61, 7: 22 }, unknown: [3, 4],
+        place(box, Section, { nodes: { 1: 32, 3: 105, 4: 61, 7: 22 }, unknown: [3, 4],
           spreads: { 1: 0.5, 3: 15, 4: 15, 7: 1 }, measured: { 4: { value: 61, usable: true } },
           alerts: {}, stale: false });
         const part = (n) => box.querySelector(`[data-node='${n}']`).style.fill;
@@ -34,10 +35,11 @@ def test_every_measured_node_has_the_ring_of_the_legend(parts: Page) -> None:
     rings = run(
         parts,
         """
-        const { Section } = await import('/js/section.js');
+        const { Section } = await import('/js/operator/section.js');
+        const { place } = await import('/js/parts/panel.js');
         const box = document.createElement('div');
         const reading = { value: 40, usable: true };
-        new Section(box).update({ nodes: {}, spreads: {}, unknown: [], alerts: {}, stale: false,
+        place(box, Section, { nodes: {}, spreads: {}, unknown: [], alerts: {}, stale: false,
           measured: { 2: reading, 4: reading, 5: reading, 13: reading, 14: reading,
             8: { value: 40, usable: false } } });
         const pins = [...box.querySelectorAll('[data-pin]')];
@@ -54,9 +56,10 @@ def test_tiles_of_an_own_network_hatch_what_is_not_known(parts: Page) -> None:
     shown = run(
         parts,
         """
-        const { NodeTiles } = await import('/js/nodes.js');
+        const { NodeTiles } = await import('/js/operator/nodes.js');
+        const { place } = await import('/js/parts/panel.js');
         const box = document.createElement('div');
-        new NodeTiles(box).update({ nodes: { t_oil_c: 105 }, spreads: { t_oil_c: 15 },
+        place(box, NodeTiles, { nodes: { t_oil_c: 105 }, spreads: { t_oil_c: 15 },
           unknown: ['t_oil_c'], measured: {}, alerts: {}, stale: false });
         return ['[data-figure]', 'li i'].map((one) => box.querySelector(one))
           .map((one, i) => (i ? one.className : one.textContent));
@@ -66,7 +69,8 @@ def test_tiles_of_an_own_network_hatch_what_is_not_known(parts: Page) -> None:
 
 
 FIRST = """
-const { FirstData } = await import('/js/first_data.js');
+const { FirstData, isWaiting } = await import('/js/operator/first_data.js');
+const { place } = await import('/js/parts/panel.js');
 const asset = { channels: [
   { name: 't_inner_ring_c', source: 'pt100' }, { name: 't_inner_ring_c.twin', source: 'twin' },
   { name: 'speed_rpm', source: 'push' }, { name: 'load_n', source: 'push' } ] };
@@ -75,9 +79,11 @@ const tags = Object.fromEntries(asset.channels.map(({ name }) =>
 const state = { asset, tags, link: { status: 'live' },
   verdict: { missing: ['ambient_c', 'load_n'] },
   sources: [{ name: 'pt100', up: false, detail: 'connection refused' }] };
-const first = new FirstData({ live: { assetId: 'bench 1' } });
-first.update(state, { now: () => Date.parse('2026-11-22T08:00:00.000Z') });
-return first.element.hidden ? null : first.element.textContent;
+if (!isWaiting(state)) return null;
+const clock = { now: () => Date.parse('2026-11-22T08:00:00.000Z') };
+const box = document.createElement('div');
+place(box, FirstData, { state, clock, assetId: 'bench 1' });
+return box.textContent;
 """
 
 
@@ -101,7 +107,7 @@ def detail(parts: Page, **facts: Any) -> str:
     text: str = run(
         parts,
         """
-        const { detailText } = await import('/js/alarms.js');
+        const { detailText } = await import('/js/alarms/alarm.js');
         return detailText(alarm, { nowMs: Date.parse('2026-11-22T10:00:00.000Z'),
           value: () => 36.3, crossing: () => crossing });
         """,
@@ -115,22 +121,16 @@ def detail(parts: Page, **facts: Any) -> str:
     return text.replace("\u00a0", " ")
 
 
-def test_a_returned_alarm_shows_its_peak_and_how_long_it_lasted(parts: Page) -> None:
-    assert detail(parts) == "36.3 °C"
-    returned = {"state": "RTNUN", "returned_at": "2026-11-22T09:12:00.000Z"}
-    peak = {"value": 79.3, "time": "2026-11-22T08:30:00.000Z"}
-    assert detail(parts, **returned, peak=peak, duration_s=4320) == "peak 79.3 °C, lasted 72 min"
-
-
 def test_banner_and_tile_have_one_word_and_one_figure_for_one_event(parts: Page) -> None:
     banner = detail(parts, kind="forecast limit", predicted=True)
     tile: str = run(
         parts,
         """
-        const { timeToLimitTile } = await import('/js/tiles.js');
-        return timeToLimitTile({ sensor: 't_inner_ring_c', level: 'warning', limitC: 70,
+        const { timeToLimitTile } = await import('/js/forecast/tiles.js');
+        const { nodesOf } = await import('/js/parts/panel.js');
+        return nodesOf(timeToLimitTile({ sensor: 't_inner_ring_c', level: 'warning', limitC: 70,
           probability: 0.6, median: 3600, earliest: 1200, expected: true, endMs: 9e6 },
-        { nowMs: 0, alone: false }).querySelector('.word').textContent;
+        { nowMs: 0, alone: false })).querySelector('.word').textContent;
         """,
     )
     assert banner == "earliest in 20 min · 60 %"
@@ -141,11 +141,13 @@ def test_the_gauge_has_no_colour_until_the_forecast_touches_a_limit(parts: Page)
     looks = run(
         parts,
         """
-        const { nowTile } = await import('/js/tiles.js');
-        const verdict = { now: { word: 'safe', reasons: [], limit: null } };
+        const { nowTile } = await import('/js/forecast/tiles.js');
+        const { nodesOf } = await import('/js/parts/panel.js');
+        const safe = { word: 'safe', reasons: [], limit: null };
+        const verdict = { now: safe, present_step: safe };
         const reading = { sensor: 't_inner_ring_c', value: 40, usable: true,
           limits: { warning: 70, alarm: 95 } };
-        return [60, 80].map((high) => [...nowTile({ verdict, reading, lostText: '' }, high)
+        return [60, 80].map((high) => [...nodesOf(nowTile({ verdict, reading, lostText: '' }, high))
           .querySelectorAll('.rng')].map((range) => range.className));
         """,
     )

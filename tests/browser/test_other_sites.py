@@ -51,6 +51,12 @@ def session_of(context: BrowserContext, plant: Plant) -> dict[str, Any] | None:
     return found
 
 
+def changes(plant: Plant) -> list[dict[str, object]]:
+    """The lines of the audit trail, but for logins: several of these become one line later."""
+    items = plant.client.get("/api/v1/audit").json()["items"]
+    return [one for one in items if not one["action"].startswith("session.")]
+
+
 @pytest.mark.parametrize("credential", ["basic", "cookie"])
 def test_a_form_of_another_site_changes_nothing(
     browser: Browser, plant: Plant, credential: str
@@ -69,13 +75,13 @@ def test_a_form_of_another_site_changes_nothing(
         target = f"{plant.address}/api/v1/assets/press-1/models/1/activate"
         form = f'<form method="post" action="{target}"></form>'
         form += "<script>document.forms[0].submit()</script>"
-        before = plant.client.get("/api/v1/audit").json()["items"][0]
+        before = changes(plant)
         with other_site(form) as site, page.expect_response(target) as sent:
             page.goto(site)
         # Without its cookie, which a browser keeps back, the form is nobody's.
         assert sent.value.status == (REFUSED if credential == "basic" else 401)
         assert sent.value.request.method == "POST"
-        assert plant.client.get("/api/v1/audit").json()["items"][0] == before
+        assert changes(plant) == before
     finally:
         context.close()
 

@@ -22,8 +22,8 @@ from playwright.sync_api import (
 )
 
 from adapters.virtual_bench import BenchParameters, Scenario, measure, scenario_profile, simulate
-from adapters.virtual_bench.scenarios import Step
-from service.lab.demo.configuration import ASSET
+from adapters.virtual_bench.scenarios import BenchPhase
+from service.demo.configuration import ASSET
 from tests.processes import Site, wait_until
 
 pytestmark = [pytest.mark.browser, pytest.mark.wires, pytest.mark.timeout(300)]
@@ -44,7 +44,7 @@ expect.set_options(timeout=WAIT_MS)
 def write_history(path: Path) -> float:
     """What a virtual bench measured over the history; gives its length in s."""
     steps = tuple(
-        Step(f"step {number}", 60.0 * minutes, speed, load, "low")
+        BenchPhase(f"step {number}", 60.0 * minutes, speed, load, "low")
         for number, (speed, load, minutes) in enumerate(HISTORY)
     )
     parameters = BenchParameters()
@@ -242,6 +242,42 @@ def test_envelope_is_walked_with_the_keyboard(open_view: Any, problems: list[str
     for row in ("Steady, median", "median time", "Thermal runaway"):
         expect(said).to_contain_text(row)
     assert problems == []
+
+
+def test_who_leaves_the_envelope_ends_its_study_and_finds_the_last_map_again(
+    open_view: Any, problems: list[str]
+) -> None:
+    page = open_view("#envelope")
+    head = page.locator("#probe h2")
+    expect(head).to_have_text(re.compile("rpm"))
+    age = page.locator(".p-map [role=status]", has_text="Map of")
+    expect(age).to_have_text(re.compile(r"^Map of \d\d:\d\d, .* old"))
+
+    held: list[Route] = []
+    page.route("**/envelope", lambda route: held.append(route))
+    page.get_by_role("link", name="What-if").click()
+    expect(page.locator("body")).to_have_attribute("data-view", "whatif")
+    page.get_by_role("link", name="Envelope").click()
+    expect(head).to_have_text(re.compile("rpm"))  # the map of before, at once
+    expect(age).to_contain_text("old. Computing a new one …")
+    wait_until(lambda: len(held) == 1, 30, "the next question")
+    with page.expect_event("requestfailed", lambda one: one.url.endswith("/envelope")):
+        page.get_by_role("link", name="What-if").click()
+
+    page.unroute("**/envelope")
+    detail = "busy: five calculations are running with this key"
+    page.route(
+        "**/envelope",
+        lambda route: route.fulfill(
+            status=503, content_type="application/problem+json", json={"detail": detail}
+        ),
+    )
+    page.get_by_role("link", name="Envelope").click()
+    expect(page.locator(".p-map .problem")).to_have_text(
+        "Busy: five calculations are running with this key. Retrying in 15 s."
+    )
+    expect(head).to_have_text(re.compile("rpm"))
+    assert [text for text in problems if "503" not in text] == []
 
 
 def test_without_trust_in_the_model_nothing_is_foretold(

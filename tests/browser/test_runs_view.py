@@ -1,12 +1,14 @@
 """Runs in the history view: listed, compared over each other, named, annotated, reported."""
 
+import re
 from collections.abc import Callable
 
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Page, Route, expect
 
 from service.clock import rfc3339
 from tests.browser.plant import BEARING, Plant
+from tests.browser.test_dashboard_parts import run
 from tests.browser.test_page_quality import axe, violations_in_all_sizes
 from tests.processes import wait_until
 
@@ -34,7 +36,7 @@ def past(started_plant: Plant) -> int:
         )
     ]
     for first in range(0, len(samples), 5000):
-        started_plant.push(BEARING, samples[first : first + 5000])
+        started_plant.push_all(BEARING, samples[first : first + 5000])
     return start_us
 
 
@@ -55,7 +57,7 @@ def test_runs_from_the_list_to_the_report(
     open_runs(page)
     rows = page.locator(".p-runs tbody tr")
     expect(rows).to_have_count(3)
-    expect(rows.nth(0)).to_contain_text("goes on")
+    expect(rows.nth(0)).to_contain_text("running")
     first, second = rows.nth(2), rows.nth(1)
     expect(first).to_contain_text("30 min")
     expect(first).to_contain_text("standstill")
@@ -86,9 +88,9 @@ def test_runs_from_the_list_to_the_report(
     page.get_by_label("Note (everyone can read it)").fill(NOTE)
     page.get_by_role("button", name="Add", exact=True).click()
     expect(page.locator(".notes li")).to_contain_text(NOTE)
-    run = plant.get(runs)["items"][-1]
-    assert run["name"] == NAME
-    kept = plant.get(f"{runs}/{run['id']}")["annotations"]
+    latest = plant.get(runs)["items"][-1]
+    assert latest["name"] == NAME
+    kept = plant.get(f"{runs}/{latest['id']}")["annotations"]
     assert [one["text"] for one in kept] == [NOTE]
 
     for format, begin in (("PDF", b"%PDF-"), ("CSV", b"\xef\xbb\xbfRun,item")):
@@ -115,3 +117,39 @@ def test_a_viewer_reads_and_changes_nothing(screen: Screen, past: int, problems:
     wide = page.evaluate("document.documentElement.scrollWidth - innerWidth")
     assert wide <= 0, "nothing is wider than a phone"
     assert problems == []
+
+
+def test_a_report_that_cannot_be_made_here_says_what_to_install(screen: Screen, past: int) -> None:
+    page = screen(f"history/{BEARING}", role="viewer")
+
+    def without_matplotlib(route: Route) -> None:
+        answer = route.fetch()
+        route.fulfill(response=answer, json=answer.json() | {"report_formats": ["csv"]})
+
+    page.route(re.compile(r"/runs\?"), without_matplotlib)
+    open_runs(page)
+    row = page.locator(".p-runs tbody tr").last
+    for format in ("PDF", "PNG"):
+        button = row.get_by_role("button", name=re.compile(f" as {format}$"))
+        expect(button).to_be_disabled()
+        expect(button).to_have_attribute("title", re.compile(r'pip install "matplotlib>=3.10"$'))
+    expect(row.get_by_role("button", name=re.compile(" as CSV$"))).to_be_enabled()
+
+
+def test_what_is_refused_is_said_once(parts: Page) -> None:
+    """The detail of a problem often has its errors in it."""
+    problem = {
+        "detail": "format: pdf needs matplotlib; expected csv",
+        "errors": [{"parameter": "format", "detail": "pdf needs matplotlib; expected csv"}],
+    }
+    other = {"title": "Unprocessable", "errors": [{"detail": "id: too long"}]}
+    answers = iter((problem, other))
+    parts.route(
+        "**/api/v1/x",
+        lambda route: route.fulfill(
+            status=422, content_type="application/problem+json", json=next(answers)
+        ),
+    )
+    call = "const { call } = await import('/js/app/api.js');"
+    for wanted in (problem["detail"], "Unprocessable: id: too long"):
+        assert run(parts, call + "return call('/x').catch((error) => error.message);") == wanted

@@ -6,9 +6,10 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import BrowserContext, Page, Route, expect
 
 from tests.browser.plant import BEARING, GEARBOX, Plant
+from tests.browser.test_dashboard import fan_pixels
 from tests.processes import wait_until
 
 pytestmark = pytest.mark.browser
@@ -58,6 +59,7 @@ def test_page_and_interface_agree_whatever_is_missing(
                 return False
             both = [told[name]["word"].capitalize() for name in ("now", "next_step")]
             if missing:
+                assert told["present_step"]["word"] == "unknown"
                 assert both == ["Unknown", "Unknown"]
                 both.append("Unknown")
             return words(page)[: len(both)] == both
@@ -82,11 +84,19 @@ def test_lost_speed_and_load_are_seen_everywhere(screen: Screen, known: Plant) -
         expect(tile.locator(".word")).to_have_text("Unknown")
         expect(tile).to_contain_text(re.compile("speed and load lost for"))
     expect(tiles.nth(1).locator("s").first).to_have_text(re.compile("^900.rpm$"))
+    speed = page.get_by_role("img", name=re.compile("^Speed measured and planned: lost for "))
+    expect(speed).to_be_visible()
     assert "-line-through" not in page.locator(".ans .fig").first.inner_text()
     page.goto(page.url.split("#")[0] + "#fleet")
     card = page.locator(f'.card[data-asset="{BEARING}"]')
     expect(card.locator(".word")).to_have_text("Unknown")
     expect(card.locator("h2 s").first).to_have_text(re.compile("^900.rpm$"))
+    page.goto(page.url.split("#")[0] + f"#envelope/{BEARING}")
+    expect(page.locator("#probe .word")).to_have_text("Unknown")
+    expect(page.locator("#probe")).to_contain_text("speed and load lost")
+    expect(page.get_by_role("row", name="now")).to_be_visible()
+    expect(page.locator("main")).not_to_contain_text(re.compile("Safe$|Not safe$"))
+    expect(page.get_by_role("row").filter(has_text="afe")).to_have_count(0)
 
 
 def test_a_model_that_was_never_identified_gives_no_next_step(screen: Screen, known: Plant) -> None:
@@ -95,3 +105,44 @@ def test_a_model_that_was_never_identified_gives_no_next_step(screen: Screen, kn
     expect(page.locator(".ans .word")).to_have_text(["Safe", "Unknown", "Unknown"])
     expect(page.locator(".ans").nth(1)).to_contain_text("the model was never identified")
     expect(page.locator("#lost")).to_be_empty()
+
+
+@pytest.mark.parametrize(("safe", "word"), [(0.0, "Not safe"), (1.0, "Safe")])
+def test_one_setting_gives_the_word_in_what_if_and_envelope(
+    context: BrowserContext, screen: Screen, known: Plant, safe: float, word: str
+) -> None:
+    def set_to(route: Route) -> None:
+        answer = route.fetch()
+        found = answer.json()
+        for asset in found.get("items", [found]):
+            asset["verdict"]["safe_below_probability"] = safe
+        route.fulfill(response=answer, json=found)
+
+    for end in ("", f"/{BEARING}"):
+        context.route(f"**/api/v1/assets{end}", set_to)
+    page = screen(f"whatif/{BEARING}")
+    expect(page.locator(".ans .word").first).to_have_text(word)
+    page.goto(page.url.split("#")[0] + f"#envelope/{BEARING}")
+    expect(page.locator("#probe .word")).to_have_text(word)
+    expect(page.locator(".v-envelope table td.nw").first).to_contain_text(word)
+
+
+def test_the_band_of_the_whole_run_is_chosen_by_keyboard(
+    screen: Screen, known: Plant, problems: list[str]
+) -> None:
+    page = screen(f"operator/{BEARING}")
+    wait_until(lambda: fan_pixels(page) > 2000, 60, "a forecast fan on the canvas")
+    keys = page.locator(".p-trend .bandkeys")
+    moment, whole = (keys.get_by_role("button", name=name) for name in ("each moment", "whole run"))
+    expect(moment).to_have_attribute("aria-pressed", "true")
+    before = fan_pixels(page)
+    whole.focus()
+    whole.press("Enter")
+    expect(whole).to_have_attribute("aria-pressed", "true")
+    expect(keys).to_contain_text("90 % whole run")
+    wait_until(lambda: fan_pixels(page) not in (0, before), 60, "another band")
+    page.goto(page.url.split("#")[0] + f"#whatif/{BEARING}")
+    expect(page.locator(".p-trend .bandkeys")).to_contain_text("90 % whole run")
+    page.get_by_role("button", name="each moment").click()
+    expect(page.locator(".p-trend .bandkeys")).not_to_contain_text("90 % whole run")
+    assert problems == []

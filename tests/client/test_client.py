@@ -19,6 +19,8 @@ from bearing_twin_client import Client, ProblemError, ProfileStep, columns
 from generate_documents import DOCUMENTS, OPENAPI, documents
 from pydantic import ValidationError
 
+pytestmark = pytest.mark.wires
+
 STEP = ProfileStep(duration_s=3600, speed_rpm=6200, load_n=5500)
 #: Status, headers and body.
 Answer = tuple[int, dict[str, str], bytes]

@@ -15,8 +15,10 @@ from pathlib import Path
 import httpx2
 from faults.peers import State
 from processes import Command, Station, free_port, wait_until
+from site_files import OBSERVE, asset_text, write_site
 
-from service.lab.demo.configuration import ASSET
+from service.clock import ProcessClock
+from service.demo.configuration import ASSET
 
 MODBUS, CAN, PUSHED = "load_n", "speed_rpm", "t_node_1_c"
 WAYS = {"Modbus": MODBUS, "CAN": CAN, "push": PUSHED}
@@ -27,12 +29,7 @@ STARTED_S = 180.0
 PATIENCE = 12.0
 """A machine that other programs keep busy is given so many times that, and the table tells."""
 
-_CONFIGURATION = """\
-[service]
-port = {port}
-data_dir = "data"
-{service_keys}
-
+_WIRES = """\
 [[sources]]
 name = "pt100"
 driver = "modbus-tcp"
@@ -48,24 +45,16 @@ interface = "slcan"
 channel = "socket://127.0.0.1:{can_port}"
 sleep_after_open = 0.1
 dbc = "numbers.dbc"
-
-[[assets]]
-id = "{asset}"
-bearing = "6311"
-low_risk = {{ speed_rpm_max = 4300, load_n_max = 3400 }}
-
-[assets.channels]
+"""
+_CHANNELS = f"""\
 t_inner_ring_c = {{ source = "pt100", register = 0, kind = "input", scale = 0.1, \
 flat_line_s = 2.0 }}
 t_outer_ring_c = {{ source = "pt100", register = 1, kind = "input", scale = 0.1 }}
 ambient_c = {{ source = "pt100", register = 2, kind = "input", scale = 0.1 }}
-{modbus} = {{ source = "pt100", register = 4, kind = "input", type = "uint32", scale = 0.001, \
-offset = {base} }}
-{can} = {{ source = "drive", message = "Numbers", signal = "Number" }}
-{pushed} = {{ source = "push" }}
-
-[assets.identification]
-ladder = "observe"
+{MODBUS} = {{ source = "pt100", register = 4, kind = "input", type = "uint32", scale = 0.001, \
+offset = {BASE} }}
+{CAN} = {{ source = "drive", message = "Numbers", signal = "Number" }}
+{PUSHED} = {{ source = "push" }}
 """
 _DBC = """\
 VERSION ""
@@ -73,6 +62,15 @@ BU_: Peer
 BO_ 288 Numbers: 8 Peer
  SG_ Number : 0|32@1+ (0.001,3000) [0|4000000] "rpm" Peer
 """
+
+
+class SteppedClock(ProcessClock):
+    """A system clock that an administrator sets."""
+
+    step_us = 0
+
+    def now_us(self) -> int:
+        return super().now_us() + self.step_us
 
 
 class Peer:
@@ -198,27 +196,15 @@ class Hall(Station):
     def __init__(
         self, folder: Path, service_keys: str = "", now_s: Callable[[], float] = time.time
     ) -> None:
-        modbus_port, can_port, port = free_port(), free_port(), free_port()
-        configuration = folder / "hall.toml"
-        configuration.write_text(
-            _CONFIGURATION.format(
-                port=port,
-                service_keys=service_keys,
-                modbus_port=modbus_port,
-                can_port=can_port,
-                asset=ASSET,
-                modbus=MODBUS,
-                can=CAN,
-                pushed=PUSHED,
-                base=BASE,
-            )
-        )
+        modbus_port, can_port = free_port(), free_port()
+        wires = _WIRES.format(modbus_port=modbus_port, can_port=can_port)
+        text = wires + asset_text(ASSET, _CHANNELS, OBSERVE)
         (folder / "numbers.dbc").write_text(_DBC)
-        super().__init__(folder, configuration, port)
+        super().__init__(folder, *write_site(folder, text, service_keys))
         self.states = {"modbus": State(folder / "modbus"), "can": State(folder / "can")}
         self.modbus = Peer("modbus", modbus_port, str(folder / "modbus"))
         self.can = Peer("can", can_port, str(folder / "can"))
-        self.pusher = Pusher(f"http://127.0.0.1:{port}", self.key, now_s)
+        self.pusher = Pusher(self.address, self.key, now_s)
         self._began: dict[str, int] = {}
 
     def close(self) -> None:

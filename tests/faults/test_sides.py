@@ -15,17 +15,16 @@ from typing import Any
 
 import httpx2
 import pytest
-from processes import free_port, wait_until
+from processes import Station, wait_until
+from site_files import CHANNELS, OBSERVE, asset_text, write_site
 from websockets.sync.client import ClientConnection, connect
 
 from service.domain.roles import Role
-from service.security.keys import create_key
-from service.store import Store
 
 pytestmark = [pytest.mark.wires, pytest.mark.timeout(900)]
 
 ASSET = "bench-1"
-CHANNELS = ("speed_rpm", "load_n", "ambient_c", "t_inner_ring_c", "t_outer_ring_c")
+VALUES = dict(zip(CHANNELS, (1500.0, 2000.0, 22.0, 40.0, 38.0), strict=True))
 #: A machine that other programs keep busy compiles the twin first.
 STARTED_S = 600.0
 PATIENCE_S = 60.0
@@ -38,45 +37,20 @@ atexit.register(lambda: print("numba" if "numba" in sys.modules else "no numba",
 main()
 """
 
-_CONFIGURATION = """\
-[service]
-port = {port}
-data_dir = "data"
-
-[mqtt]
-enabled = false
-
-[[assets]]
-id = "bench-1"
-bearing = "6311"
-low_risk = {{ speed_rpm_max = 4300, load_n_max = 3000 }}
-
-[assets.limits.t_inner_ring_c]
-warning = 90
-alarm = 105
-
-[assets.channels]
-{channels}
-
-[assets.identification]
-ladder = "observe"
-"""
-
 
 class Side:
     """A side in a process of its own."""
 
-    def __init__(self, name: str, folder: Path, port: int) -> None:
-        self.name = name
-        self.folder = folder
-        self.port = port
+    def __init__(self, name: str, configuration: Path) -> None:
+        self.name, self.configuration = name, configuration
+        self.log = configuration.with_name(f"{name}.log")
         self.process: subprocess.Popen[str] | None = None
 
     def start(self) -> None:
-        configuration = str(self.folder / "site.toml")
-        with (self.folder / f"{self.name}.log").open("ab") as errors:
+        serve = [sys.executable, "-c", _SERVE, "serve", "--only", self.name]
+        with self.log.open("ab") as errors:
             self.process = subprocess.Popen(
-                [sys.executable, "-c", _SERVE, "serve", "--only", self.name, "-c", configuration],
+                [*serve, "-c", str(self.configuration)],
                 stdout=subprocess.PIPE,
                 stderr=errors,
                 text=True,
@@ -86,8 +60,7 @@ class Side:
         assert self.process is not None
         assert self.process.stdout is not None
         line = self.process.stdout.readline()
-        log = (self.folder / f"{self.name}.log").read_text()
-        assert line == f"{self.name} is ready\n", f"{self.name}: {log[-2000:]}"
+        assert line == f"{self.name} is ready\n", f"{self.name}: {self.log.read_text()[-2000:]}"
 
     def send(self, number: signal.Signals) -> None:
         assert self.process is not None
@@ -105,71 +78,54 @@ class Side:
         return out.strip()
 
 
-class Site:
+class Site(Station):
     """A configuration, its keys and its sides."""
 
     def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self.port = free_port()
-        channels = "\n".join(f'{name} = {{ source = "push" }}' for name in CHANNELS)
-        (folder / "site.toml").write_text(_CONFIGURATION.format(port=self.port, channels=channels))
-        self.keys: dict[Role, str] = {}
-        with Store.open("", folder / "data") as store:
-            for role in ("viewer", "operator", "gateway", "admin"):
-                self.keys[role] = create_key(store, role).text  # type: ignore[index, arg-type]
-        self.cell = Side("cell", folder, self.port)
-        self.web = Side("web", folder, self.port)
-        self.address = f"http://127.0.0.1:{self.port}"
-        self.client = httpx2.Client(base_url=self.address, timeout=30.0)
+        limits = "limits = { t_inner_ring_c = { warning = 90, alarm = 105 } }"
+        text = asset_text(ASSET, CHANNELS, limits, OBSERVE)
+        super().__init__(folder, *write_site(folder, text))
+        self.cell = Side("cell", self.configuration)
+        self.web = Side("web", self.configuration)
 
-    def get(self, path: str, role: Role = "viewer") -> httpx2.Response:
-        return self.client.get(path, headers={"X-API-Key": self.keys[role]})
+    def ask(self, path: str, role: Role = "viewer") -> httpx2.Response:
+        return self.client.get(path, headers={"X-API-Key": self.key_of(role)})
 
-    def push(self, time_ms: int, value: float = 40.0) -> httpx2.Response:
+    def push_at(self, time_ms: int) -> httpx2.Response:
         at = datetime.fromtimestamp(time_ms / 1000, UTC).isoformat(timespec="milliseconds")
-        values = {
-            "speed_rpm": 1500.0,
-            "load_n": 2000.0,
-            "ambient_c": 22.0,
-            "t_inner_ring_c": value,
-            "t_outer_ring_c": value - 2.0,
-        }
-        samples = [
-            {"channel": name, "time": at, "value": number} for name, number in values.items()
-        ]
+        samples = [{"channel": name, "time": at, "value": one} for name, one in VALUES.items()]
         return self.client.post(
             f"/api/v1/assets/{ASSET}/measurements",
             json={"samples": samples},
-            headers={"X-API-Key": self.keys["gateway"]},
+            headers={"X-API-Key": self.key_of("gateway")},
         )
 
     def answers(self) -> bool:
         try:
-            return self.get(f"/api/v1/assets/{ASSET}/snapshot").status_code == 200
+            return self.ask(f"/api/v1/assets/{ASSET}/snapshot").status_code == 200
         except httpx2.TransportError:
             return False
 
     def stream(self, query: str = "") -> ClientConnection:
         address = f"ws://127.0.0.1:{self.port}/api/v1/stream{query}"
-        headers = {"X-API-Key": self.keys["viewer"]}
+        headers = {"X-API-Key": self.key_of("viewer")}
         return connect(address, additional_headers=headers, proxy=None, open_timeout=PATIENCE_S)
 
     def close(self) -> None:
-        self.client.close()
+        super().close()
         for side in (self.web, self.cell):
             side.end()
 
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
-    site = Site(tmp_path_factory.mktemp("site"))
-    try:
+    with Site(tmp_path_factory.mktemp("site")) as site:
+        for role in ("viewer", "operator", "gateway"):
+            site.key_of(role)
         site.cell.start()
         site.web.start()
         wait_until(site.answers, STARTED_S, "the web side answers")
         yield site
-    finally:
-        site.close()
 
 
 class Feed:
@@ -195,7 +151,7 @@ class Feed:
             time_ms = time.time_ns() // 1_000_000
             while not self._stop.is_set():  # the same again until it is taken, as gateways do
                 try:
-                    answer = self.site.push(time_ms)
+                    answer = self.site.push_at(time_ms)
                 except httpx2.TransportError:
                     self.refused += 1
                 else:
@@ -237,6 +193,7 @@ def test_a_web_side_that_is_killed_loses_and_doubles_nothing(site: Site) -> None
         assert len(found) == len(set(found))
 
 
+@pytest.mark.endurance
 def test_a_stream_goes_on_after_the_web_side_was_killed(site: Site) -> None:
     with Feed(site), site.stream() as stream:
         hello = json.loads(stream.recv(PATIENCE_S))
@@ -261,21 +218,22 @@ def test_a_stream_goes_on_after_the_web_side_was_killed(site: Site) -> None:
     assert numbers == kept
 
 
+@pytest.mark.endurance
 def test_the_web_side_goes_on_without_the_cell_and_says_so(site: Site) -> None:
     with Feed(site):
         tags = f"/api/v1/assets/{ASSET}/snapshot"
         wait_until(
-            lambda: site.get(tags).json()["tags"]["t_inner_ring_c"]["quality"] >= 192,
+            lambda: site.ask(tags).json()["tags"]["t_inner_ring_c"]["quality"] >= 192,
             PATIENCE_S,
             "a good value",
         )
-    site.push(time.time_ns() // 1_000_000)
+    site.push_at(time.time_ns() // 1_000_000)
     with site.stream() as stream:
         epoch = json.loads(stream.recv(PATIENCE_S))["epoch"]
         site.cell.end()
 
         def doubtful() -> httpx2.Response | None:
-            answer = site.get(tags)
+            answer = site.ask(tags)
             found = answer.json()["tags"]
             if found["t_inner_ring_c"]["quality"] >= 192:
                 return None
@@ -284,15 +242,15 @@ def test_the_web_side_goes_on_without_the_cell_and_says_so(site: Site) -> None:
         answer = wait_until(doubtful, PATIENCE_S, "old values are no longer good")
         assert int(answer.headers["Age"]) >= 1
         assert answer.json()["tags"]["verdict.now"]["value"] == 0
-        verdict = site.get(f"/api/v1/assets/{ASSET}/verdict").json()
+        verdict = site.ask(f"/api/v1/assets/{ASSET}/verdict").json()
         assert (verdict["now"]["word"], verdict["next_step"]["word"]) == ("unknown", "unknown")
         assert "twin" in verdict["missing"]
-        assert site.get("/livez").status_code == 200
-        ready = site.get("/readyz")
+        assert site.ask("/livez").status_code == 200
+        ready = site.ask("/readyz")
         assert ready.status_code == 503
         assert [check["name"] for check in ready.json()["checks"]] == ["cell"]
-        assert site.get(f"/api/v1/assets/{ASSET}/measurements").status_code == 200, "history"
-        refused = site.push(time.time_ns() // 1_000_000)
+        assert site.ask(f"/api/v1/assets/{ASSET}/measurements").status_code == 200, "history"
+        refused = site.push_at(time.time_ns() // 1_000_000)
         assert refused.status_code == 503
         assert int(refused.headers["Retry-After"]) > 0
         kinds = set()
@@ -304,15 +262,16 @@ def test_the_web_side_goes_on_without_the_cell_and_says_so(site: Site) -> None:
                 kinds.add("verdict")
         site.cell.start()
         begun_s = time.monotonic()
-        wait_until(lambda: site.get("/readyz").status_code == 200, STARTED_S, "ready again")
+        wait_until(lambda: site.ask("/readyz").status_code == 200, STARTED_S, "ready again")
         print(f"ready again after {time.monotonic() - begun_s:.1f} s")  # noqa: T201
     with site.stream(f"?resume=1&epoch={epoch}") as stream:
         hello = json.loads(stream.recv(PATIENCE_S))
     assert hello["epoch"] != epoch
     assert hello["gap"] is True
-    assert site.push(time.time_ns() // 1_000_000).status_code == 200
+    assert site.push_at(time.time_ns() // 1_000_000).status_code == 200
 
 
+@pytest.mark.endurance
 def test_a_web_side_that_stands_still_holds_nobody_up_and_catches_up(site: Site) -> None:
     def rss_mib() -> float:
         assert site.cell.process is not None
@@ -337,21 +296,22 @@ def test_a_web_side_that_stands_still_holds_nobody_up_and_catches_up(site: Site)
     assert grown_mib < 50.0
 
 
+@pytest.mark.endurance
 def test_audit_lines_of_a_killed_web_side_are_there_once(site: Site) -> None:
     made = []
     for number in range(5):
         answer = site.client.post(
             "/api/v1/keys",
             json={"role": "viewer", "label": f"number {number}"},
-            headers={"X-API-Key": site.keys["admin"]},
+            headers={"X-API-Key": site.key},
         )
         assert answer.status_code == 201
         made.append(answer.json()["prefix"])
-    site.client.post("/api/v1/session", json={"key": site.keys["operator"]}).raise_for_status()
+    site.client.post("/api/v1/session", json={"key": site.key_of("operator")}).raise_for_status()
     site.web.end()
     site.web.start()
     wait_until(site.answers, PATIENCE_S, "the web side answers again")
-    lines = site.get("/api/v1/audit?limit=100", "admin").json()["items"]
+    lines = site.ask("/api/v1/audit?limit=100", "admin").json()["items"]
     for prefix in made:
         assert sum(prefix in line["target"] for line in lines) == 1, lines
     assert sum(line["action"] == "session.begin" for line in lines) == 1
@@ -359,16 +319,16 @@ def test_audit_lines_of_a_killed_web_side_are_there_once(site: Site) -> None:
 
 def test_metrics_tell_of_both_sides(site: Site) -> None:
     def told() -> bool:
-        text = site.get("/metrics").text
+        text = site.ask("/metrics").text
         return 'bearing_twin_process_up{process="web"} 1.0' in text
 
     wait_until(told, PATIENCE_S, "the web side reports to the cell")
-    assert "bearing_twin_samples_accepted_total" in site.get("/metrics").text
+    assert "bearing_twin_samples_accepted_total" in site.ask("/metrics").text
 
 
 def test_only_the_cell_loads_the_compiled_twin(site: Site) -> None:
     assert site.web.end(signal.SIGTERM).endswith("no numba")
-    plant = Side("plant", site.folder, site.port)
+    plant = Side("plant", site.configuration)
     plant.start()
     plant.until_ready()
     assert plant.end(signal.SIGTERM).endswith("no numba")

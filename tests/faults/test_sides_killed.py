@@ -15,9 +15,9 @@ from asyncua import Client
 from processes import wait_until
 from security.stand import Stand
 
-from service.lab.benchmarks.attackers import ASSET, PUSHED, PUSHED_ASSET
+from bearing_twin_laboratory.benchmarks.attackers import ASSET, PUSHED, PUSHED_ASSET
 
-pytestmark = [pytest.mark.wires, pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.wires, pytest.mark.timeout(900), pytest.mark.endurance]
 
 #: A longer run: ``BEARING_TWIN_KILLS=50 pytest -s tests/faults/test_sides_killed.py``.
 KILLS = int(os.environ.get("BEARING_TWIN_KILLS", "4"))
@@ -41,7 +41,7 @@ class Gateway:
         self.accepted: list[datetime] = []
         self.tries = 0
         self._url = f"http://127.0.0.1:{stand.port}/api/v1/assets/{PUSHED_ASSET}/measurements"
-        self._headers = {"X-API-Key": stand.keys["gateway"]}
+        self._headers = {"X-API-Key": stand.key_of("gateway")}
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._push)
 
@@ -106,7 +106,7 @@ def test_a_killed_web_side_loses_no_sample_and_costs_no_poll(stand: Stand) -> No
     def answers() -> bool:
         url = f"http://127.0.0.1:{stand.port}/api/v1/assets/{ASSET}/snapshot"
         try:
-            answer = httpx2.get(url, headers={"X-API-Key": stand.keys["viewer"]}, timeout=10)
+            answer = httpx2.get(url, headers={"X-API-Key": stand.key_of("viewer")}, timeout=10)
         except httpx2.TransportError:
             return False
         return answer.status_code == httpx2.codes.OK
@@ -137,7 +137,7 @@ def test_a_killed_plant_side_serves_its_clients_again_and_costs_no_poll(stand: S
     async def connect() -> None:
         client = Client(endpoint, timeout=5)
         client.set_user("key")
-        client.set_password(stand.keys["viewer"])
+        client.set_password(stand.key_of("viewer"))
         async with client:
             await client.nodes.server_state.read_value()
 

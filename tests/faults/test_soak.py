@@ -16,11 +16,15 @@ from faults.hall import PUSHED, STARTED_S, Count, Outcome, Peer, Pusher, lock_st
 from processes import Site, free_port, wait_until
 
 from service.clock import ProcessClock
-from service.lab.demo.configuration import ASSET
+from service.demo.configuration import ASSET
 from service.store.opening import FILE_NAME
 from service.store.records import StoredSample
 
-pytestmark = [pytest.mark.wires, pytest.mark.timeout(0)]  # as long as it is asked for
+pytestmark = [
+    pytest.mark.wires,
+    pytest.mark.timeout(0),  # as long as it is asked for
+    pytest.mark.endurance,
+]
 
 RATE = 60.0
 TWIN = "t_inner_ring_c.twin"

@@ -15,7 +15,7 @@ from typing import Any
 import httpx2
 import psycopg
 import pytest
-from faults.hall import BASE, CAN, MODBUS, Hall, lock_store
+from faults.hall import ASSET, BASE, CAN, MODBUS, Hall, lock_store
 from faults.test_store_away import small_disk
 from hasty import HASTY_S
 from postgresql import running_postgresql
@@ -26,7 +26,7 @@ from service.store import lock_data_directory
 from service.store.opening import FILE_NAME
 from service.web.listening import bind
 
-pytestmark = [pytest.mark.wires, pytest.mark.timeout(0)]
+pytestmark = [pytest.mark.wires, pytest.mark.timeout(0), pytest.mark.endurance]
 PATIENCE_S = 120.0
 COMMAND = (sys.executable, "-m", "service")
 
@@ -173,13 +173,12 @@ def survive(
 
 
 def test_a_postgresql_server_that_comes_up_after_the_service(tmp_path: Path) -> None:
-    with running_postgresql() as server:
-        hall = Hall(tmp_path, f'database_url = "{server.database()}"')
+    with (
+        running_postgresql() as server,
+        Hall(tmp_path, f'database_url = "{server.database()}"') as hall,
+    ):
         server.stop()
-        try:
-            survive(hall, "Is the server running", server.start)
-        finally:
-            hall.close()
+        survive(hall, "Is the server running", server.start)
 
 
 def test_a_postgresql_server_that_hangs_at_the_start(tmp_path: Path) -> None:
@@ -191,8 +190,7 @@ def test_a_postgresql_server_that_hangs_at_the_start(tmp_path: Path) -> None:
 
 
 def test_a_store_that_is_locked_for_long_at_the_start(tmp_path: Path) -> None:
-    hall = Hall(tmp_path)
-    try:
+    with Hall(tmp_path) as hall:
         release = lock_store(hall.folder / "data" / FILE_NAME)
 
         def come_back() -> None:  # later than another service would have to leave
@@ -200,8 +198,6 @@ def test_a_store_that_is_locked_for_long_at_the_start(tmp_path: Path) -> None:
             release()
 
         survive(hall, "database is locked", come_back, command=hasty())
-    finally:
-        hall.close()
 
 
 def test_a_disk_that_is_full_at_the_start(tmp_path: Path) -> None:
@@ -302,6 +298,31 @@ def test_what_a_person_must_mend_ends_at_once_with_2(tmp_path: Path, wrong: str,
         )
     assert (ended.returncode, ended.stderr.count("\n")) == (2, 1), ended.stderr
     assert said in ended.stderr
+
+
+def test_with_an_empty_kernel_cache_devices_are_read_and_shown_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "kernels"))
+    with Hall(tmp_path) as hall, devices(hall), starting(hall) as service:
+        service.wait_until_ready()
+        assert not service.events("twin_loaded")
+        wait_until(lambda: numbers(hall, MODBUS), PATIENCE_S, "stored samples")
+        page = hall.client.get("/")
+        verdict = hall.client.get(f"/api/v1/assets/{ASSET}/verdict").json()
+        checks = {one["name"]: one for one in hall.client.get("/readyz").json()["checks"]}
+        assert not service.events("twin_loaded"), "it was compiled before anything was shown"
+        assert checks[f"twin:{ASSET}"]["status"] == "degraded"
+        assert "being compiled" in checks[f"twin:{ASSET}"]["detail"]
+        assert page.status_code == httpx2.codes.OK
+        assert verdict["now"]["word"] == verdict["next_step"]["word"] == "unknown"
+        wait_until(lambda: service.events("twin_loaded"), 600.0, "the compiled twin")
+        wait_until(
+            lambda: hall.tags()["t_node_7_c.twin"]["value"] is not None,
+            PATIENCE_S,
+            "an estimate",
+        )
+        assert service.end() == 0
 
 
 def test_sigterm_while_it_waits_ends_it_and_keeps_what_was_acquired(tmp_path: Path) -> None:

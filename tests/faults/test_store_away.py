@@ -12,16 +12,16 @@ from pathlib import Path
 
 import pytest
 from faults.conftest import Extent
-from faults.hall import STARTED_S, Count, Hall, Outcome, lock_store
-from inside import serve
+from faults.hall import STARTED_S, Count, Hall, Outcome, SteppedClock, lock_store
 from postgresql import running_postgresql
 from processes import hasty, wait_until
 
+from service.app.one_process import serve_in_one_process
 from service.clock import ProcessClock
 from service.site.settings import load_settings
 from service.store.opening import FILE_NAME
 
-pytestmark = [pytest.mark.wires, pytest.mark.timeout(0)]
+pytestmark = [pytest.mark.wires, pytest.mark.timeout(0), pytest.mark.endurance]
 
 Tell = Callable[[Outcome], None]
 KILLED_AFTER_S = (0.2, 1.5)
@@ -170,13 +170,6 @@ def test_sigterm_under_load_stores_all_that_was_accepted(hall: Hall, tell: Tell)
 
 
 # ------------------------------------------------------------------ the process clock is set
-class SteppedClock(ProcessClock):
-    """A system clock that an administrator sets."""
-
-    step_us = 0
-
-    def now_us(self) -> int:
-        return super().now_us() + self.step_us
 
 
 class ServiceInside:
@@ -191,7 +184,9 @@ class ServiceInside:
         assert self._ready.wait(STARTED_S)
 
     async def _run(self) -> None:
-        await serve(self._settings, announce=lambda _: self._ready.set(), stop=self._stop)
+        await serve_in_one_process(
+            self._settings, announce=lambda _: self._ready.set(), stop=self._stop
+        )
 
     def end(self) -> None:
         self._loop.call_soon_threadsafe(self._stop.set)

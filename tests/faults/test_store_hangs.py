@@ -10,7 +10,7 @@ from faults.hall import PATIENCE, STARTED_S, Count, Hall
 from postgresql import PostgreSQL, running_postgresql
 from processes import wait_until
 
-pytestmark = [pytest.mark.wires, pytest.mark.timeout(0)]
+pytestmark = [pytest.mark.wires, pytest.mark.timeout(0), pytest.mark.endurance]
 PATIENCE_S = 120.0
 
 

@@ -11,10 +11,10 @@ from faults.hall import BASE, CAN, MODBUS, Count, Hall, Outcome
 from faults.peers import EXCEPTION, FLOOD, GARBAGE, LATE, NORMAL, POISON, WRONG
 from processes import wait_until
 
-from service.lab.demo.configuration import ASSET
+from service.demo.configuration import ASSET
 from service.live.asset import STEP_S
 
-pytestmark = [pytest.mark.wires, pytest.mark.timeout(0)]
+pytestmark = [pytest.mark.wires, pytest.mark.timeout(0), pytest.mark.endurance]
 
 CODES = {SHORT: (2, 6, 11), FULL: (1, 2, 3, 4, 5, 6, 7, 8, 10, 11)}
 FLOOD_PER_S = 2000
@@ -108,24 +108,46 @@ def ordered(hall: Hall, device: str) -> Iterator[Callable[..., Callable[[], None
     state.order(NORMAL)
 
 
-def test_the_modbus_server_answers_too_late(hall: Hall, extent: Extent, tell: Tell) -> None:
-    with ordered(hall, "modbus") as order:
-        tell(
-            survive(
-                hall, "Modbus answers too late", "pt100", order(LATE, 700), order(NORMAL), extent
-            )
-        )
-    no_poison(hall)
-
-
-def test_the_modbus_server_answers_garbage(hall: Hall, extent: Extent, tell: Tell) -> None:
-    with ordered(hall, "modbus") as order:
-        tell(
-            survive(
-                hall, "Modbus answers garbage", "pt100", order(GARBAGE), order(NORMAL), extent,
-            )
-        )  # fmt: skip
-    no_poison(hall)
+@pytest.mark.parametrize(
+    ("device", "fault", "orders", "counted"),
+    [
+        pytest.param("modbus", "Modbus answers too late", (LATE, 700), (), id="late"),
+        pytest.param("modbus", "Modbus answers garbage", (GARBAGE,), (), id="garbage"),
+        pytest.param(
+            "can",
+            f"CAN bus flooded, {2 * FLOOD_PER_S} frames/s, half of them unknown",
+            (FLOOD, FLOOD_PER_S),
+            (),
+            id="flooded",
+        ),
+        pytest.param(
+            "can",
+            "CAN frames of wrong length and unknown id between the good ones",
+            (WRONG,),
+            ("wrong_length", "unknown_id"),
+            id="wrong frames",
+        ),
+    ],
+)
+def test_a_device_sends_what_it_should_not(
+    hall: Hall,
+    device: str,
+    fault: str,
+    orders: tuple[int, ...],
+    counted: tuple[str, ...],
+    extent: Extent,
+    tell: Tell,
+) -> None:
+    source = {"modbus": "pt100", "can": "drive"}[device]
+    is_down = device == "modbus"
+    with ordered(hall, device) as order:
+        begin, end = order(*orders), order(NORMAL)
+        tell(survive(hall, fault, source, begin, end, extent, down=is_down))
+    if device == "modbus":
+        no_poison(hall)
+    errors = hall.metrics_by_label("source_errors_total") if counted else {}
+    for kind in counted:
+        assert errors[f'kind="{kind}",source="{source}"'] > 0
 
 
 def test_the_modbus_server_refuses(hall: Hall, extent: Extent, tell: Tell) -> None:
@@ -145,39 +167,6 @@ def test_the_modbus_server_refuses(hall: Hall, extent: Extent, tell: Tell) -> No
         )
     )
     no_poison(hall)
-
-
-def test_the_can_bus_is_flooded(hall: Hall, extent: Extent, tell: Tell) -> None:
-    with ordered(hall, "can") as order:
-        tell(
-            survive(
-                hall,
-                f"CAN bus flooded, {2 * FLOOD_PER_S} frames/s, half of them unknown",
-                "drive",
-                order(FLOOD, FLOOD_PER_S),
-                order(NORMAL),
-                extent,
-                down=False,
-            )
-        )
-
-
-def test_can_frames_are_short_or_unknown(hall: Hall, extent: Extent, tell: Tell) -> None:
-    with ordered(hall, "can") as order:
-        tell(
-            survive(
-                hall,
-                "CAN frames of wrong length and unknown id between the good ones",
-                "drive",
-                order(WRONG),
-                order(NORMAL),
-                extent,
-                down=False,
-            )
-        )
-    errors = hall.metrics_by_label("source_errors_total")
-    assert errors['kind="wrong_length",source="drive"'] > 0
-    assert errors['kind="unknown_id",source="drive"'] > 0
 
 
 STAGES = (

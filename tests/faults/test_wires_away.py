@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import pytest
+from faults.hall import SteppedClock
 from processes import free_port
 from pymodbus.constants import ExcCodes
 from pymodbus.server import ModbusTcpServer
@@ -20,20 +21,10 @@ from adapters.drivers.modbus.config import ModbusChannel, ModbusTcpSource
 from adapters.drivers.modbus.driver import ModbusDriver
 from adapters.protocol import ChannelBinding
 from adapters.samples import Quality, Sample
-from service.clock import ProcessClock
 
-pytestmark = pytest.mark.wires
+pytestmark = [pytest.mark.wires, pytest.mark.endurance]
 
 VALUE = 215.0
-
-
-class SteppedClock(ProcessClock):
-    """A system clock that an administrator sets."""
-
-    step_us = 0
-
-    def now_us(self) -> int:
-        return super().now_us() + self.step_us
 
 
 class Line:

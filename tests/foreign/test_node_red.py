@@ -13,7 +13,9 @@ import pytest
 from processes import Site, free_port, wait_until
 from programs import needed, node_package
 
-from service.lab.demo.configuration import ASSET
+from service.demo.configuration import ASSET
+
+pytestmark = pytest.mark.wires
 
 FLOWS = Path(__file__).parents[2] / "deploy" / "node-red" / "flows.json"
 RING = "t_inner_ring_c"
@@ -21,13 +23,10 @@ RING = "t_inner_ring_c"
 
 @pytest.fixture
 def site(tmp_path: Path) -> Iterator[Site]:
-    site = Site(tmp_path, "staircase", 1.0)
-    try:
+    with Site(tmp_path, "staircase", 1.0) as site:
         site.start_bench()
         site.start_service()
         yield site
-    finally:
-        site.close()
 
 
 @pytest.fixture

@@ -10,34 +10,17 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import httpx2
 import pytest
 import websockets
-from processes import Command, free_port, wait_until
-
-from service.clock import ProcessClock, rfc3339
-from service.site.settings import load_settings
+from processes import Station, wait_until
+from site_files import MACHINE, asset_text, write_site
 
 pytestmark = [pytest.mark.wires, pytest.mark.timeout(600)]
 
-CONFIGURATION = """
-[service]
-port = {port}
-data_dir = "data"
-[[assets]]
-id = "bench-1"
-bearing = "6311"
-low_risk = {{ speed_rpm_max = 4300, load_n_max = 3400 }}
-[assets.channels]
-speed_rpm = {{ source = "push" }}
-load_n = {{ source = "push" }}
-ambient_c = {{ source = "push" }}
-t_inner_ring_c = {{ source = "push" }}
-"""
 FUZZ = Path(__file__).parents[1] / "fuzz" / "schemathesis.toml"
 # A slow machine has read the description of the calls when the shortest is over.
 FUZZ_S = (10, 60, 240)
@@ -46,23 +29,18 @@ PATIENCE_S = 30.0
 WRONG = "bt_0badc0de_" + "A" * 43
 
 
-@dataclass
-class Place:
-    """A service, and an administrator's client."""
+class Place(Station):
+    """A service, and the secrets that its users know."""
 
-    config: Path
-    command: Command
-    client: httpx2.Client
-    secrets: list[str]
-
-    @property
-    def address(self) -> str:
-        return str(self.client.base_url).rstrip("/")
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder, *write_site(folder, asset_text("bench-1")))
+        self.secrets = [self.key]
 
     def cli(self, *arguments: str) -> Any:
         """Run ``bearing-twin keys …`` beside the service."""
+        command = [sys.executable, "-m", "service", "keys", *arguments]
         done = subprocess.run(
-            [sys.executable, "-m", "service", "keys", *arguments, "-c", str(self.config), "--json"],
+            [*command, "-c", str(self.configuration), "--json"],
             capture_output=True,
             text=True,
             check=True,
@@ -79,36 +57,11 @@ class Place:
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Place]:
-    folder, port = tmp_path_factory.mktemp("access"), free_port()
-    config = folder / "site.toml"
-    config.write_text(CONFIGURATION.format(port=port))
-    created = subprocess.run(
-        [sys.executable, "-m", "service", "keys", "create", "--role", "admin", "-c", str(config)],
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=180,
-    )
-    key = created.stdout.strip()
-    command = Command(["serve", "-c", str(config)], folder / "serve.log")
-    with httpx2.Client(
-        base_url=f"http://127.0.0.1:{port}", headers={"X-API-Key": key}, timeout=30
-    ) as client:
-        place = Place(config, command, client, [key])
-        push(place)
-        try:
-            yield place
-        finally:
-            command.end()
-
-
-def push(place: Place) -> None:
-    settings = load_settings(place.config)
-    now = rfc3339(ProcessClock.resume(settings.clock.rate, settings.data_dir).now_us())
-    values = {"speed_rpm": 1500.0, "load_n": 2650.0, "ambient_c": 22.0, "t_inner_ring_c": 40.0}
-    samples = [{"channel": name, "time": now, "value": value} for name, value in values.items()]
-    answer = place.client.post("/api/v1/assets/bench-1/measurements", json={"samples": samples})
-    assert answer.json()["accepted"] == len(values)
+    values = dict(zip(MACHINE, (1500.0, 2650.0, 22.0, 40.0), strict=True))
+    with Place(tmp_path_factory.mktemp("access")) as place:
+        place.start_service()
+        assert place.push("bench-1", **values).json()["accepted"] == len(values)
+        yield place
 
 
 async def read_on(stream: websockets.ClientConnection) -> None:
@@ -176,14 +129,14 @@ def test_an_upgrade_is_refused_with_a_problem(place: Place) -> None:
         assert response.headers["content-type"] == "application/problem+json"
         return json.loads(response.body)
 
-    admin = place.client.headers["X-API-Key"]
+    admin = place.key
     assert asyncio.run(refused("/api/v1/stream", WRONG))["status"] == 403
     assert asyncio.run(refused("/api/v1/stream?assets=none", admin))["status"] == 404
     assert asyncio.run(refused("/api/v1/streams", admin))["status"] == 404
 
 
 def fuzz(place: Place, seconds: int) -> "subprocess.CompletedProcess[str]":
-    """Do the short form of the run in docs/api.md."""
+    """Do the short form of the run in docs/connect/api.md."""
     return subprocess.run(
         [
             sys.executable, "-m", "schemathesis.cli", "--no-color", "--config-file", str(FUZZ),
@@ -197,8 +150,8 @@ def fuzz(place: Place, seconds: int) -> "subprocess.CompletedProcess[str]":
         text=True,
         check=False,
         timeout=500,
-        cwd=place.config.parent,
-        env=os.environ | {"BEARING_TWIN_KEY": place.client.headers["X-API-Key"]},
+        cwd=place.folder,
+        env=os.environ | {"BEARING_TWIN_KEY": place.key},
     )  # fmt: skip
 
 
@@ -224,10 +177,11 @@ def test_no_secret_is_ever_logged(place: Place) -> None:
         browser.post("/api/v1/session", json={"key": WRONG})
         browser.get("/api/v1/assets", headers={"X-API-Key": WRONG})
         browser.get("/api/v1/assets", auth=("anyone", WRONG))
-    assert place.command.terminate() == 0
-    log = place.command.log.read_text()
+    assert place.service is not None
+    assert place.service.terminate() == 0
+    log = place.service.log.read_text()
     assert '"event": "audit"' in log
-    data = place.config.parent / "data"
+    data = place.folder / "data"
     for secret in (*(key.split("_", 2)[2] for key in (*place.secrets, WRONG)), *cookies):
         assert secret not in log
         for file in data.rglob("*"):

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from processes import Site, wait_until
 
-pytestmark = [pytest.mark.wires, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.wires, pytest.mark.timeout(600), pytest.mark.endurance]
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -48,7 +48,7 @@ def test_a_demo_that_make_starts_is_cut_short_and_prints_its_document_and_nothin
     demo = subprocess.run(
         [
             "make", "demo", f"VENV={sys.prefix}", "--assume-old", f"{sys.prefix}/.installed-run",
-            "DEMO_ARGS=--headless --json --port 0 --duration-s 45 --rate 240",
+            "DEMO_ARGS=--headless --json --port 0 --duration-s 90 --rate 240",
         ],
         cwd=Path(__file__).parents[2],
         env=alone,

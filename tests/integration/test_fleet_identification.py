@@ -6,6 +6,7 @@ import os
 import re
 import shutil
 import signal
+import sqlite3
 import subprocess
 import sys
 import time
@@ -23,6 +24,8 @@ from service.store import ModelVersion, Store
 from twin_core.bearings import bearing
 from twin_core.models import build_model
 from twin_core.simulation import OperatingProfile, simulate
+
+pytestmark = [pytest.mark.wires, pytest.mark.endurance]
 
 MACHINES = 12
 MINUTE_US = 60_000_000
@@ -132,6 +135,14 @@ def stored(site: Path) -> int:
     return sum(len(of_one) for of_one in versions(site).values())
 
 
+def has_begun(site: Path) -> bool:
+    """Whether a version is stored; quick, as the night may end while a store is opened."""
+    store = f"file:{site / 'var' / 'bearing-twin.db'}?mode=ro"
+    with contextlib.closing(sqlite3.connect(store, uri=True)) as connection:
+        (count,) = connection.execute("SELECT count(*) FROM model_versions").fetchone()
+    return bool(count)
+
+
 def findings(site: Path) -> dict[str, str]:
     """All that was found of each machine, to the last bit; what names the run is left out."""
     found = {}
@@ -191,7 +202,7 @@ def test_a_killed_run_goes_on_and_takes_other_workers_for_those_that_die(
     site: Path, undisturbed: Path
 ) -> None:
     process = command(site, "--all")
-    wait_until(lambda: stored(site) or None, 300, "the first results")
+    wait_until(lambda: has_begun(site), 300, "the first results", every_s=0.02)
     process.kill()
     process.communicate()
     kept = stored(site)
@@ -238,8 +249,8 @@ def children(parent: int) -> set[int]:
 
 # ---------------------------------------------------------------------------------- Dask
 @contextlib.contextmanager
-def cluster(site: Path) -> Iterator[tuple[str, Callable[[], set[int]]]]:
-    """A scheduler with two workers over TLS: its address, and the processes of the workers."""
+def cluster(site: Path) -> Iterator[tuple[str, int, Callable[[], set[int]]]]:
+    """A scheduler with two workers over TLS: its address, its process, and those of the workers."""
     port = free_port()
     address = f"tls://127.0.0.1:{port}"
     files = ("--tls-ca-file", "ca.pem", "--tls-cert", "fleet.pem", "--tls-key", "fleet.key")
@@ -263,19 +274,19 @@ def cluster(site: Path) -> Iterator[tuple[str, Callable[[], set[int]]]]:
             return process.pid
 
         host = ("--host", "tls://127.0.0.1", "--no-dashboard")
-        start("scheduler", *host, "--port", str(port))
+        scheduler = start("scheduler", *host, "--port", str(port))
         nannies = start(
             *("worker", address, *host, "--nworkers", "2", "--nthreads", "1"),
             *("--memory-limit", "0", "--local-directory", str(site)),
         )
-
-        yield address, lambda: children(nannies)
+        wait_until(lambda: log.read_text().count("Registered to:") == 2, 120, "both workers")
+        yield address, scheduler, lambda: children(nannies)
 
 
 def test_a_cluster_that_loses_a_worker_finds_the_same_bits(site: Path, undisturbed: Path) -> None:
-    with cluster(site) as (address, workers):
+    with cluster(site) as (address, _, workers):
         process = command(site, "--all", "--json", "--scheduler", address)
-        wait_until(lambda: stored(site) or None, 300, "the first results")
+        wait_until(lambda: has_begun(site), 300, "the first results", every_s=0.02)
         victim = min(workers())
         os.kill(victim, signal.SIGKILL)
         output, errors = process.communicate(timeout=600)
@@ -285,3 +296,23 @@ def test_a_cluster_that_loses_a_worker_finds_the_same_bits(site: Path, undisturb
     assert document["machines"] == MACHINES
     assert document["workers_lost"] >= 1
     assert findings(site) == findings(undisturbed)
+
+
+def test_a_cluster_that_loses_its_scheduler_leaves_a_document_all_the_same(site: Path) -> None:
+    """A line for each night: what was done until then, and what ended it."""
+    with cluster(site) as (address, scheduler, _):
+        process = command(site, "--all", "--json", "--scheduler", address)
+        wait_until(lambda: has_begun(site), 300, "the first results", every_s=0.02)
+        os.kill(scheduler, signal.SIGKILL)
+        output, errors = process.communicate(timeout=600)
+    assert process.returncode == os.EX_TEMPFAIL, errors[-3000:]
+    document = json.loads(output)
+    assert "scheduler" in document["ended_by"]
+    assert document["machines"] == stored(site) < MACHINES
+    # Nothing is there any more: the next call of the night says so, too.
+    process = command(site, "--all", "--json", "--scheduler", address)
+    output, errors = process.communicate(timeout=600)
+    assert process.returncode == os.EX_TEMPFAIL, errors[-3000:]
+    document = json.loads(output)
+    assert (document["machines"], document["items"]) == (0, [])
+    assert "does not answer" in document["ended_by"]

@@ -15,10 +15,10 @@ from processes import Site, wait_until
 from pymodbus.client import ModbusTcpClient
 
 from service.clock import from_rfc3339
-from service.lab.demo.configuration import ASSET
-from service.lab.demo.run import HOLD_COIL
+from service.demo.configuration import ASSET
+from service.demo.run import HOLD_COIL
 
-pytestmark = pytest.mark.wires
+pytestmark = [pytest.mark.wires, pytest.mark.endurance]
 
 RATE = 600.0
 A = f"/api/v1/assets/{ASSET}"
@@ -26,20 +26,19 @@ RINGS = ("t_inner_ring_c", "t_outer_ring_c")
 OPERATION = ("speed_rpm", "load_n")
 QUANTILES = ("q025", "q25", "q50", "q75", "q975")
 MINUTE_S = 60.0
+#: What a reading says of what came.
+CAME = ("state", "measured_c", "left", "run_inside")
 KILLED_AFTER_WALL_S, HELD_WALL_S, RUN_WALL_S = 9.0, 3.0, 13.0
 
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
-    site = Site(tmp_path_factory.mktemp("site"), "demo", RATE)
-    text = site.configuration.read_text()
-    site.configuration.write_text(text.replace('ladder = "apply"', 'ladder = "observe"'))
-    try:
+    with Site(tmp_path_factory.mktemp("site"), "demo", RATE) as site:
+        text = site.configuration.read_text()
+        site.configuration.write_text(text.replace('ladder = "apply"', 'ladder = "observe"'))
         site.start_bench()
         site.start_service()
         yield site
-    finally:
-        site.close()
 
 
 def kept(site: Site) -> dict[int, dict[str, Any]]:
@@ -63,7 +62,7 @@ def said(forecast: dict[str, Any]) -> dict[str, Any]:
         {
             **point,
             "readings": [
-                {name: value for name, value in one.items() if name not in ("state", "measured_c")}
+                {name: value for name, value in one.items() if name not in CAME}
                 for one in point["readings"]
             ],
         }

@@ -17,7 +17,7 @@ import pytest
 from processes import Site, wait_until
 
 from service.clock import ProcessClock, from_rfc3339
-from service.lab.demo.configuration import ASSET
+from service.demo.configuration import ASSET
 from service.site.settings import load_settings
 from service.store import Store
 
@@ -39,14 +39,11 @@ WIDE_REGION, NARROW_REGION = "speed_rpm_max = 4300", "speed_rpm_max = 2000"
 @pytest.fixture(scope="module")
 def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     """A site whose twin has identified by itself, on the running bench."""
-    site = Site(tmp_path_factory.mktemp("site"), "demo", RATE)
-    try:
+    with Site(tmp_path_factory.mktemp("site"), "demo", RATE) as site:
         site.start_bench()
         site.start_service()
         wait_until(lambda: site.tag("model.version") > 1, 400, "a re-identification by itself")
         yield site
-    finally:
-        site.close()
 
 
 @pytest.fixture(scope="module")
@@ -158,7 +155,7 @@ def worker_of(site: Site) -> int:
 
 
 def is_at_rest(process_id: int) -> bool:
-    """Tell whether a process uses no processor, over a third of a second."""
+    """Return whether a process uses no processor, over a third of a second."""
 
     def ticks() -> int:
         fields = Path(f"/proc/{process_id}/stat").read_text().rpartition(")")[2].split()
@@ -350,6 +347,7 @@ def test_a_rejected_version_needs_force_and_a_comment(quiet: Site) -> None:
 
 
 # ---------------------------------------------------------------------- kills and restarts
+@pytest.mark.endurance
 def test_a_killed_worker_costs_only_time(quiet: Site) -> None:
     before = len(versions(quiet))
     job_id = start(quiet, LONG)
@@ -362,6 +360,7 @@ def test_a_killed_worker_costs_only_time(quiet: Site) -> None:
     assert quiet.get("/readyz")["status"] in ("ready", "degraded")
 
 
+@pytest.mark.endurance
 def test_a_stopped_service_goes_on_where_it_was(quiet: Site) -> None:
     """Its job is taken up and ends once, under the rules of the new configuration."""
     before, active = versions(quiet), quiet.tag("model.version")
@@ -414,6 +413,7 @@ def test_a_stopped_service_goes_on_where_it_was(quiet: Site) -> None:
     assert "outside the low-risk region (2000 rpm" in error["detail"]
 
 
+@pytest.mark.endurance
 def test_a_service_killed_in_mid_job_takes_it_up_again(quiet: Site) -> None:
     assert quiet.service is not None
     assert quiet.service.terminate() == 0

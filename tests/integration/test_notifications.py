@@ -10,11 +10,11 @@ import pytest
 from processes import Station, free_port, wait_until
 from receivers import Hook, hook
 
-from service.lab.demo.configuration import ASSET
+from service.demo.configuration import ASSET
 
 __all__ = ["hook"]
 
-pytestmark = [pytest.mark.wires, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.wires, pytest.mark.timeout(600), pytest.mark.endurance]
 
 PATIENCE_S = 60.0
 _CONFIGURATION = """\

@@ -232,6 +232,31 @@ def test_what_was_written_is_taken_up_whenever_the_cell_is_killed(hall: Hall) ->
     hall.until_measured(FIRST)
 
 
+def test_a_kill_between_removal_and_addition_leaves_a_mark(hall: Hall) -> None:
+    assert hall.service is not None
+    name = "axle-31"
+    hall.change({name: {"template": "axle"}})
+    hall.until_followed(name)
+    assert hall.push(name).json()["accepted"] == 3
+    os.kill(hall.service.side("cell"), signal.SIGKILL)
+    hall.change({name: None})
+    hall.until_followed()
+    os.kill(hall.service.side("cell"), signal.SIGKILL)
+    hall.change({name: {"template": "axle"}})
+    hall.until_followed(name)
+    wait_until(lambda: hall.push(name).status_code == 200, PATIENCE_S, "a push to be taken")
+
+    def qualities() -> list[int]:
+        found = hall.get(f"/api/v1/assets/{name}/measurements", channel="load_n")
+        return [one["quality"] for one in found["items"]]
+
+    gap = [192, Quality.OUT_OF_SERVICE, 192]
+    wait_until(lambda: qualities()[:3] == gap, PATIENCE_S, "the mark between both")
+    journal = hall.get("/api/v1/alarms/journal", asset=name)["items"]
+    events = [one["kind"] for one in reversed(journal) if one["class"] == "event"]
+    assert events[-2:] == ["asset not followed", "asset followed again"]
+
+
 def test_their_devices_are_read_though_the_store_is_locked_at_the_start(hall: Hall) -> None:
     assert hall.service is not None
     hall.change({"axle-1": {"template": "axle"}})

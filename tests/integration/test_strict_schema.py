@@ -10,23 +10,22 @@ import json
 import re
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from typing import Any
 
 import httpx2
-import jsonschema_rs
 import pytest
 import websockets
 from engineer import go_from_a_run_to_a_forecast
+from integration.published import Published
 from processes import Site, wait_until
 
-from service.lab.demo.configuration import ASSET
-from service.site.file_versions import save
+from service.demo.configuration import ASSET
+from service.features.commissioning.file_versions import save
+from service.features.nights.tables import FleetRun, FleetRuns
 from service.site.machines.bearings import named_bearing
 from service.site.machines.machine import Machine
 from service.site.settings import load_settings
-from service.store.fleet_runs import FleetRun
 from service.store.sister_records import SisterRecord
 
 pytestmark = [pytest.mark.wires, pytest.mark.timeout(900)]
@@ -58,93 +57,20 @@ SPARE_TABLE = {
 }
 #: A caller who may not do what a route does: gateways push and see assets, nothing else.
 STRANGERS = ("gateway", "viewer")
-
-
-@dataclass
-class Published:
-    """The descriptions, and which calls and messages were held against them."""
-
-    site: Site
-    openapi: dict[str, Any]
-    asyncapi: dict[str, Any]
-    keys: dict[str, str] = field(default_factory=dict)
-    answered: set[tuple[str, int]] = field(default_factory=set)
-    received: set[str] = field(default_factory=set)
-
-    @property
-    def operations(self) -> dict[str, dict[str, Any]]:
-        """Every operation by method and path."""
-        return {
-            f"{method.upper()} {path}": operation
-            for path, item in self.openapi["paths"].items()
-            for method, operation in item.items()
-        }
-
-    def operation_of(self, method: str, path: str) -> str:
-        """The operation that a call belongs to; of two, that with fewer parameters."""
-        names = [
-            name
-            for name in self.operations
-            if re.fullmatch(re.sub(r"\{\w+\}", "[^/]+", name), f"{method} {path}")
-        ]
-        assert names, f"{method} {path} is not published"
-        return min(names, key=lambda name: name.count("{"))
-
-    def call(self, method: str, path: str, status: int, **options: Any) -> Any:
-        """Make a call and hold the answer against its schema."""
-        answer = self.site.client.request(method, path, **options)
-        return self.check(method, path, status, answer)
-
-    def check(self, method: str, path: str, status: int, answer: httpx2.Response) -> Any:
-        name = self.operation_of(method, path)
-        assert answer.status_code == status, (name, answer.status_code, answer.text[:500])
-        described = self.operations[name]["responses"]
-        assert str(status) in described, (name, status)
-        self.answered.add((name, status))
-        content = described[str(status)].get("content", {})
-        if not content:
-            assert not answer.content, (name, status)
-            return None
-        media_type = answer.headers["content-type"].partition(";")[0]
-        known = {media.partition(";")[0]: one for media, one in content.items()}
-        assert media_type in known, (name, status, media_type)
-        if not media_type.endswith("json"):
-            return answer.text
-        body = json.loads(answer.content)
-        self.hold(known[media_type]["schema"], body, self.openapi, f"{name} {status}")
-        return body
-
-    def hold(self, schema: dict[str, Any], body: Any, whole: dict[str, Any], name: str) -> None:
-        """Hold a body against a schema of a description."""
-        rooted = schema | {"components": whole["components"]}
-        errors = [
-            f"{'/'.join(map(str, one.instance_path))}: {one.message}"
-            for one in jsonschema_rs.Draft202012Validator(
-                rooted, validate_formats=True
-            ).iter_errors(body)
-        ]
-        assert not errors, (name, errors[:5])
-
-    def as_role(self, role: str | None) -> httpx2.Client:
-        """A client with a key of a role, or with none."""
-        headers = {} if role is None else {"X-API-Key": self.keys[role]}
-        return httpx2.Client(base_url=self.site.client.base_url, headers=headers, timeout=60)
+LINES = {"Content-Type": "text/plain"}
 
 
 @pytest.fixture(scope="module")
 def published(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Published]:
-    site = Site(tmp_path_factory.mktemp("site"), "demo", 100.0, pushed=PUSHED)
-    text = site.configuration.read_text() + LATCHED + NOTIFICATION
-    named = text.replace("[[assets]]\n", f'[[assets]]\nfamily = "{FAMILY}"\n', 1)
-    assert named != text
-    site.configuration.write_text(named)
-    try:
+    with Site(tmp_path_factory.mktemp("site"), "demo", 100.0, pushed=PUSHED) as site:
+        text = site.configuration.read_text() + LATCHED + NOTIFICATION
+        named = text.replace("[[assets]]\n", f'[[assets]]\nfamily = "{FAMILY}"\n', 1)
+        assert named != text
+        site.configuration.write_text(named)
         site.start_bench()
         site.start_service()
         site.client.timeout = httpx2.Timeout(240.0)
         yield Published(site, site.get("/openapi.json"), site.get("/asyncapi.json"))
-    finally:
-        site.close()
 
 
 def test_what_answers_before_the_first_identification(published: Published) -> None:
@@ -246,7 +172,7 @@ def test_every_other_route_answers_as_published(published: Published) -> None:
     call("GET", "/api/v1/fleet", 200, params={"sort": "id", "attention": "true"})
     call("GET", "/api/v1/fleet/map", 200)
     with site.open_store() as store:
-        store.fleet_runs.tell(a_night())
+        store.part(FleetRuns).save(a_night())
     (night,) = call("GET", "/api/v1/fleet/nights", 200)["items"]
     assert (night["state"], night["left"]) == ("running", 6)
     for part in ("", "/snapshot", "/state", "/verdict", "/forecast", "/envelope", "/windows"):
@@ -270,6 +196,12 @@ def test_every_other_route_answers_as_published(published: Published) -> None:
     call("POST", f"{A}/measurements", 200, json={"samples": samples})
     wired = [{"channel": "speed_rpm", "time": now, "value": 1.0}]
     call("POST", f"{A}/measurements", 409, json={"samples": wired})
+    many = [{"asset": ASSET} | sample for sample in [*samples, *wired]]
+    call("POST", "/api/v1/measurements", 200, json={"samples": many})
+    lines = {"content": f"{ASSET} {samples[0]['channel']}=54", "headers": LINES}
+    call("POST", "/api/v1/write", 204, **lines)
+    call("POST", "/api/v1/write", 400, **lines | {"content": "a line that is none"})
+    call("POST", "/api/v1/write", 422, **lines, params={"precision": "week"})
     for query in ({"limit": 5}, {"limit": 5, "resolution": "1min"}, {"limit": 5, "format": "csv"}):
         call("GET", f"{A}/measurements", 200, params=query)
     call("GET", f"{A}/measurements", 422, params={"channel": "t_wall_c"})
@@ -344,6 +276,9 @@ def tell_nobody(published: Published) -> None:
     call("GET", "/api/v1/silences", 200)
     call("DELETE", f"/api/v1/silences/{made['id']}", 204)
     call("DELETE", f"/api/v1/silences/{made['id']}", 404)
+    made = call("POST", "/api/v1/silences", 201, json=silence)
+    call("POST", "/api/v1/silences/end", 200, json={"ids": [made["id"], "none"]})
+    call("POST", "/api/v1/silences/end", 404, json={"ids": [made["id"]]})
 
 
 def change_a_limit(published: Published) -> None:
@@ -415,6 +350,7 @@ def provision(published: Published) -> None:
     call("GET", f"{A}/configuration", 200)
     call("GET", f"{spare}/configuration", 200)
     call("GET", "/api/v1/provisioning", 200)
+    call("GET", "/api/v1/provisioning/removed", 200)
 
 
 def commission(published: Published) -> None:
@@ -468,7 +404,8 @@ def test_every_refusal_is_a_problem_as_published(published: Published) -> None:
         if "404" in operation["responses"]:
             away = re.sub(r"\{\w+\}", "9999", path)
             published.call(method, away, 404, **fitting(method, path))
-        if "requestBody" in operation and "422" in operation["responses"]:
+        contents = operation.get("requestBody", {}).get("content", {})
+        if "application/json" in contents and "422" in operation["responses"]:
             address = re.sub(r"\{\w+\}", "9999", here)
             published.call(method, address, 422, json={"no such member": 1})
 
@@ -486,6 +423,7 @@ def fitting(method: str, path: str) -> dict[str, Any]:
         "shelve": {"duration_s": 60},
         "comment": {"comment": "x"},
         "restore": {"revision": "x"},
+        "end": {"ids": ["none"]},
         "out-of-service": {"comment": "x"},
     }
     last = path.rpartition("/")[2]

@@ -1,8 +1,10 @@
-"""A newcomer adds a driver (a folder, a line) and an alarm kind (one file); the service runs them.
+"""A newcomer adds a driver, an alarm kind, channels and a feature; the service runs them.
 
 The packages are copied, changed as CONTRIBUTING.md says, and started as a user would.
 """
 
+import os
+import re
 import shutil
 import subprocess
 import sys
@@ -10,158 +12,54 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from processes import Station, free_port, wait_until
+from processes import Station, wait_until
+from site_files import asset_text, write_site
 
 import service
+from service.demo.configuration import ASSET
+from service.store import Store
+from service.store.migrations import last_revision
+
+from .newcomer import DRIVER, FEATURE, MIGRATION
 
 pytestmark = [pytest.mark.wires, pytest.mark.timeout(600)]
 
 ROOT = Path(service.__file__).parents[1]
 PATIENCE_S = 120.0
 
-DRIVER = {
-    "__init__.py": '''
-"""Fixed values, sent again and again."""
-
-from adapters.drivers.steady.config import SteadyChannel, SteadySource
-from adapters.protocol import DriverSpec
-
-STEADY = DriverSpec(
-    SteadySource,
-    SteadyChannel,
-    plan_model=None,
-    check_function="adapters.drivers.steady.driver:check",
-    driver_class="adapters.drivers.steady.driver:SteadyDriver",
-)
-''',
-    "config.py": '''
-"""Configuration models."""
-
-from typing import Literal
-
-from adapters.configuration import MeasuredChannel, SourceConfig
-
-
-class SteadySource(SourceConfig):
-    """Sends every `period_s`."""
-
-    driver: Literal["steady"] = "steady"
-    period_s: float = 0.2
-
-    @property
-    def expected_period_s(self) -> float:
-        """As configured."""
-        return self.period_s
-
-
-class SteadyChannel(MeasuredChannel):
-    """A channel of one value."""
-
-    value: float
-''',
-    "driver.py": '''
-"""The driver."""
-
-from adapters.protocol import SourceHealth
-from adapters.samples import Batch, Quality, Sample
-
-
-class SteadyDriver:
-    """Sends the configured values."""
-
-    def __init__(self, source, channels, plans, clock):
-        self._source, self._channels, self._clock = source, channels, clock
-        self._health = SourceHealth(source.name, "steady", up=True, detail="ok")
-
-    @property
-    def name(self):
-        return self._source.name
-
-    async def __aenter__(self):
-        return self
-
-    async def __aexit__(self, *_):
-        self._health.up = False
-
-    def health(self):
-        return self._health
-
-    async def batches(self):
-        while True:
-            now_us = self._clock.now_us()
-            yield Batch(
-                [
-                    Sample(one.asset, one.channel, now_us, one.config.value, Quality.GOOD, now_us)
-                    for one in self._channels
-                ]
-            )
-            self._health.last_good_us = now_us
-            await self._clock.sleep(self._source.period_s)
-
-
-def check(source, channels, plans):
-    """Nothing can be wrong."""
-''',
-}
 REGISTRY_LINE = '    "steady": "adapters.drivers.steady:STEADY",\n'
 
-KIND = '''
-"""The rings of a bearing too far apart in temperature."""
+#: The test and the alarm kind that the page of the first change prints, by the file it names.
+_PAGE = (ROOT / "docs" / "develop" / "first-change.md").read_text()
+FIRST_CHANGE = dict(re.findall(r"Save this as `([^`]+)`.*?```python\n(.*?)```", _PAGE, re.DOTALL))
+KIND_FILE = "service/alarm_kinds/ring_difference.py"
+TEST_FILE = "tests/service/alarms/test_ring_difference.py"
 
-from pydantic import Field
-
-from service.domain.alarm_kind import AlarmKind, PlainRule
-from service.domain.channels import RING_SENSORS
-
-
-class Settings(PlainRule):
-    """Inner ring minus outer ring."""
-
-    on_delay_s: float = 0.0
-    limit_k: float = Field(20.0, gt=0)
-
-
-def _conditions(context, rule):
-    inner_c, outer_c = (context.good_value(name) for name in RING_SENSORS)
-    if inner_c is None or outer_c is None:
-        return
-    apart_k = round(inner_c - outer_c, 3)
-    yield KIND.condition(
-        context,
-        rule,
-        RING_SENSORS[0],
-        "",
-        apart_k >= rule.limit_k,
-        f"The rings are {apart_k:g} K apart",
-        value=apart_k,
-        limit_value=rule.limit_k,
-        unit="K",
-    )
-
-
-KIND = AlarmKind("ring difference", Settings, _conditions)
-'''
-
-CONFIGURATION = """\
-[service]
-port = {port}
-data_dir = "data"
-
-[[sources]]
-name = "hand"
-driver = "steady"
-
-[[assets]]
-id = "bench-1"
-bearing = "6311"
-low_risk = {{ speed_rpm_max = 4300, load_n_max = 3400 }}
-[assets.channels]
-speed_rpm = {{ source = "hand", value = 1500 }}
-load_n = {{ source = "hand", value = 2000 }}
-ambient_c = {{ source = "hand", value = 22 }}
-t_inner_ring_c = {{ source = "hand", value = 61.5 }}
-t_outer_ring_c = {{ source = "hand", value = 31.5 }}
+#: One channel of each part, each with a unit of its own.
+CHANNELS = """\
+    Channel("torque_nm", "Torque", "Nm", "operation"),
+    Channel("t_cage_c", "Cage", "°C", "ring", limits_c=(95, 110)),
+    Channel("oil_pressure_bar", "Oil pressure", "bar", "controller"),
 """
+
+SOURCE = '[[sources]]\nname = "hand"\ndriver = "steady"\n'
+VALUES = {
+    "speed_rpm": 1500,
+    "load_n": 2000,
+    "ambient_c": 22,
+    "t_inner_ring_c": 61.5,
+    "t_outer_ring_c": 31.5,
+    "torque_nm": 12.5,
+    "t_cage_c": 44,
+}
+BY_HAND = '{name} = {{ source = "hand", value = {value} }}\n'
+
+
+class ChangedStation(Station):
+    """A service of the changed packages: this process cannot read its configuration."""
+
+    def open_store(self) -> Store:
+        return Store.open("", self.folder / "data")
 
 
 def lint(folder: Path) -> subprocess.CompletedProcess[str]:
@@ -200,23 +98,70 @@ def add_driver(folder: Path) -> None:
     registry.write_text(text.replace("_SPECS = {\n", f"_SPECS = {{\n{REGISTRY_LINE}", 1))
 
 
-def add_alarm_kind(folder: Path) -> None:
-    """One file."""
-    (folder / "service" / "alarm_kinds" / "ring_difference.py").write_text(KIND)
+def add(folder: Path, file: str) -> None:
+    """One file of the first change, as the page prints it."""
+    (folder / file).parent.mkdir(parents=True, exist_ok=True)
+    (folder / file).write_text(FIRST_CHANGE[file])
 
 
-def test_a_new_driver_and_a_new_alarm_kind_run(
+def test_the_first_change_is_as_its_page_says(packages: Path) -> None:
+    def tried() -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", TEST_FILE],
+            cwd=packages,
+            env=os.environ | {"PYTHONPATH": str(packages)},
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=240,
+        )
+
+    add(packages, TEST_FILE)
+    without = tried()
+    assert without.returncode != 0
+    assert "No module named 'service.alarm_kinds.ring_difference'" in without.stdout
+    add(packages, KIND_FILE)
+    kept = tried()
+    assert kept.returncode == 0, kept.stdout + kept.stderr
+    assert "3 passed" in kept.stdout
+
+
+def add_channels(folder: Path) -> None:
+    """A row for each."""
+    file = folder / "service" / "domain" / "channels.py"
+    text = file.read_text()
+    assert text.count("STANDARD = (\n") == 1
+    file.write_text(text.replace("STANDARD = (\n", f"STANDARD = (\n{CHANNELS}"))
+
+
+def add_feature(folder: Path) -> None:
+    """One folder."""
+    feature = folder / "service" / "features" / "shift_notes"
+    (feature / "migrations").mkdir(parents=True)
+    for name, text in FEATURE.items():
+        (feature / name).write_text(text)
+    before = last_revision()
+    revision = f"{int(before) + 1:04d}"
+    migration = MIGRATION.format(revision=revision, before=before)
+    (feature / "migrations" / f"{revision}_shift_notes.py").write_text(migration)
+
+
+def test_what_a_newcomer_adds_runs(
     packages: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    # The store is one that was made before the feature came.
+    with Store.open("", tmp_path / "data"):
+        pass
     add_driver(packages)
-    add_alarm_kind(packages)
-    port = free_port()
-    configuration = tmp_path / "service.toml"
-    configuration.write_text(CONFIGURATION.format(port=port))
+    add(packages, KIND_FILE)
+    add_channels(packages)
+    add_feature(packages)
+    channels = "".join(BY_HAND.format(name=n, value=v) for n, v in VALUES.items())
+    controller = "[assets.controller]\n" + BY_HAND.format(name="oil_pressure_bar", value=3.5)
+    text = SOURCE + asset_text(ASSET, channels + controller)
     monkeypatch.chdir(packages)
     monkeypatch.setenv("PYTHONPATH", str(packages))
-    station = Station(tmp_path, configuration, port)
-    try:
+    with ChangedStation(tmp_path, *write_site(tmp_path, text)) as station:
         station.start_service()
 
         def raised() -> dict[str, Any] | None:
@@ -224,14 +169,28 @@ def test_a_new_driver_and_a_new_alarm_kind_run(
             return next((one for one in alarms if one["kind"] == "ring difference"), None)
 
         alarm = wait_until(raised, PATIENCE_S, "an alarm of the new kind")
-        assert alarm["message"] == "The rings are 30 K apart"
-        assert (alarm["value"], alarm["limit_value"], alarm["unit"]) == (30.0, 20.0, "K")
+        assert f"    {alarm['message']}\n" in _PAGE, "what the page shows"
+        assert (alarm["value"], alarm["limit_value"], alarm["unit"]) == (30.0, 15.0, "K")
         assert station.tag("t_inner_ring_c") == 61.5
         [asset] = station.get("/api/v1/assets")["items"]
         [inner] = [one for one in asset["channels"] if one["name"] == "t_inner_ring_c"]
         assert (inner["source"], inner["max_age_s"]) == ("hand", 10.0)
-    finally:
-        station.close()
+        units = {one["name"]: one["unit"] for one in asset["channels"]}
+        assert units["torque_nm"] == "Nm"
+        assert units["oil_pressure_bar"] == "bar"
+        assert units["t_cage_c"] == "°C"
+        assert station.tag("torque_nm") == 12.5
+        assert station.tag("oil_pressure_bar") == 3.5
+        assert station.get("/api/v1/shift-notes") == []
+        made = station.client.post("/api/v1/shift-notes", json={"text": "the fan is loud"})
+        assert made.status_code == 204, made.text
+        assert station.get("/api/v1/shift-notes") == ["the fan is loud"]
+        heading = station.client.get("/api/v1/shift-notes/heading", params={"name": "night"})
+        assert heading.json() == "night: bench-1", "as the feature's part of the cell answers"
+        checks = {one["name"]: one for one in station.get("/readyz")["checks"]}
+        assert checks["shift notes"]["status"] == "degraded"
+        actions = [one["action"] for one in station.get("/api/v1/audit")["items"]]
+        assert "note.make" in actions
 
 
 def test_the_import_walls_hold_for_a_new_driver_that_nobody_has_listed(packages: Path) -> None:
@@ -243,3 +202,36 @@ def test_the_import_walls_hold_for_a_new_driver_that_nobody_has_listed(packages:
     broken = lint(packages)
     assert broken.returncode != 0
     assert "The drivers never lean on the virtual bench BROKEN" in " ".join(broken.stdout.split())
+
+
+def test_a_feature_brings_its_command_and_what_check_warns_of(
+    packages: Path, tmp_path: Path
+) -> None:
+    add_feature(packages)
+    environment = {"PYTHONPATH": str(packages), "PATH": ""}
+
+    def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-m", "service", *arguments]
+        return subprocess.run(
+            command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+        )
+
+    assert run("shift").stdout == "notes of a shift\n"
+    (tmp_path / "site.toml").write_text("[service]\ndata_dir = 'data'\n")
+    assert "nobody is on shift" in run("check", "-c", "site.toml").stderr
+
+
+def test_a_feature_imports_no_other_and_the_core_imports_none(packages: Path) -> None:
+    add_feature(packages)
+    kept = lint(packages)
+    assert kept.returncode == 0, kept.stdout + kept.stderr
+    (packages / "service" / "features" / "shift_notes" / "health.py").write_text(
+        "from service.features.provisioning import lists\n"
+    )
+    other = " ".join(lint(packages).stdout.split())
+    assert "A feature imports no other feature BROKEN" in other
+    (packages / "service" / "store" / "runs.py").write_text(
+        "from service.features.shift_notes import tables\n"
+    )
+    core = " ".join(lint(packages).stdout.split())
+    assert "each package says where it stands BROKEN" in core

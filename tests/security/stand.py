@@ -14,18 +14,18 @@ from pathlib import Path
 import httpx2
 from faults.hall import Peer
 from faults.peers import State
-from processes import Command, Station, free_port, wait_until
+from processes import Station, free_port, wait_until
+from site_files import OBSERVE, asset_text, write_site
 
 from adapters.samples import Sample
-from service.domain.roles import Role
-from service.lab.benchmarks.attackers import (
+from bearing_twin_laboratory.benchmarks.attackers import (
     ASSET,
     OPCUA_PORT,
     PUSHED,
     PUSHED_ASSET,
     begin_attack,
 )
-from service.security.keys import create_key
+from service.domain.roles import Role
 
 POLLS_PER_S = 10.0
 STARTED_S = 180.0
@@ -33,11 +33,7 @@ ROWS_PER_CHANNEL = 30_000
 #: Open files that the service may have; what systemd and Docker give where nothing is set.
 FILES = 1024
 
-_CONFIGURATION = """\
-[service]
-port = {port}
-data_dir = "data"
-
+_OPCUA = """\
 [opcua]
 enabled = true
 endpoint = "opc.tcp://127.0.0.1:{opcua_port}/"
@@ -49,33 +45,14 @@ host = "127.0.0.1"
 port = {modbus_port}
 poll_interval_s = 0.1
 timeout_s = 2.0
-
-[[assets]]
-id = "{asset}"
-bearing = "6311"
-low_risk = {{ speed_rpm_max = 4300, load_n_max = 3400 }}
-
-[assets.channels]
-speed_rpm = {{ source = "plc", register = 0, kind = "input", scale = 2.5 }}
-t_inner_ring_c = {{ source = "plc", register = 0, kind = "input", scale = 0.1 }}
-t_outer_ring_c = {{ source = "plc", register = 1, kind = "input", scale = 0.1 }}
-ambient_c = {{ source = "plc", register = 2, kind = "input", scale = 0.1 }}
-load_n = {{ source = "plc", register = 4, kind = "input", type = "uint32", scale = 0.001, \
-offset = 3000 }}
-
-[assets.identification]
-ladder = "observe"
-
-[[assets]]
-id = "{pushed_asset}"
-bearing = "6311"
-low_risk = {{ speed_rpm_max = 4300, load_n_max = 3400 }}
-
-[assets.channels]
-{pushed}
-
-[assets.identification]
-ladder = "observe"
+"""
+_CHANNELS = """\
+speed_rpm = { source = "plc", register = 0, kind = "input", scale = 2.5 }
+t_inner_ring_c = { source = "plc", register = 0, kind = "input", scale = 0.1 }
+t_outer_ring_c = { source = "plc", register = 1, kind = "input", scale = 0.1 }
+ambient_c = { source = "plc", register = 2, kind = "input", scale = 0.1 }
+load_n = { source = "plc", register = 4, kind = "input", type = "uint32", scale = 0.001, \
+offset = 3000 }
 """
 
 
@@ -114,22 +91,13 @@ class Stand(Station):
     """The service, its device, and whoever disturbs."""
 
     def __init__(self, folder: Path) -> None:
-        modbus_port, port, self.opcua_port = free_port(), free_port(), free_port()
-        configuration = folder / "stand.toml"
-        configuration.write_text(
-            _CONFIGURATION.format(
-                port=port,
-                modbus_port=modbus_port,
-                opcua_port=self.opcua_port,
-                asset=ASSET,
-                pushed_asset=PUSHED_ASSET,
-                pushed="\n".join(f'{name} = {{ source = "push" }}' for name in PUSHED),
-            )
-        )
-        super().__init__(folder, configuration, port)
+        modbus_port, self.opcua_port = free_port(), free_port()
+        text = _OPCUA.format(opcua_port=self.opcua_port, modbus_port=modbus_port)
+        text += asset_text(ASSET, _CHANNELS, OBSERVE)
+        text += asset_text(PUSHED_ASSET, PUSHED, OBSERVE)
+        super().__init__(folder, *write_site(folder, text))
         self.state = State(folder / "modbus")
         self.device = Peer("modbus", modbus_port, str(folder / "modbus"))
-        self.keys: dict[Role, str] = {}
 
     def close(self) -> None:
         super().close()
@@ -139,8 +107,6 @@ class Stand(Station):
     def running(self) -> Iterator["Stand"]:
         try:
             with self.open_store() as store:
-                for role in ("viewer", "operator", "gateway"):
-                    self.keys[role] = create_key(store, role).text
                 now_us = time.time_ns() // 1000
                 for name in PUSHED:
                     store.samples.write(
@@ -150,11 +116,7 @@ class Stand(Station):
                         ]
                     )
             self.device.start()
-            self.service = Command(
-                ["serve", "-c", str(self.configuration)],
-                self.folder / "serve.log",
-                ("prlimit", f"--nofile={FILES}:{FILES}"),
-            )
+            self.start_service("prlimit", f"--nofile={FILES}:{FILES}")
             wait_until(self._forecasts, STARTED_S, "a live forecast")
             yield self
         finally:
@@ -209,7 +171,7 @@ class Stand(Station):
     @contextmanager
     def attack(self, name: str, role: Role, seconds: float) -> Iterator["subprocess.Popen[str]"]:
         there = {OPCUA_PORT: str(self.opcua_port)}
-        attacker = begin_attack(name, self.port, self.keys[role], seconds, there)
+        attacker = begin_attack(name, self.port, self.key_of(role), seconds, there)
         try:
             yield attacker
         finally:

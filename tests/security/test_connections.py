@@ -19,6 +19,8 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from service.web import server as web_server
 from service.web.server import Doorway, WebServer
 
+pytestmark = pytest.mark.wires
+
 PATIENCE_S = 30
 MOST = 16
 GET = b"GET / HTTP/1.1\r\nHost: bench\r\n\r\n"

@@ -13,10 +13,10 @@ import httpx2
 import pytest
 from security.stand import Course, Stand, metric_in
 
+from bearing_twin_laboratory.benchmarks.attackers import ASSET, attack_names
 from service.domain.roles import Role
-from service.lab.benchmarks.attackers import ASSET, attack_names
 
-pytestmark = [pytest.mark.wires, pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.wires, pytest.mark.timeout(900), pytest.mark.timing]
 
 WINDOW_S = 8.0
 #: Share of the polls that an attack may cost, beyond what the same machine loses without it.

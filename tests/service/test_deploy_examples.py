@@ -117,6 +117,18 @@ def test_the_unit_watches_over_the_service_and_bounds_it() -> None:
     assert service["TasksMax"]
 
 
+def test_the_page_can_save_where_unit_and_compose_put_the_configuration() -> None:
+    unit = configparser.ConfigParser(strict=False, interpolation=None)
+    unit.optionxform = str  # type: ignore[assignment,method-assign]
+    unit.read(DEPLOY / "systemd" / "bearing-twin.service")
+    service = unit["Service"]
+    folder = Path(service["ExecStart"].split(" -c ")[1]).parent
+    assert service["ProtectSystem"] == "strict"
+    assert service["ReadWritePaths"] == f"-{folder}"
+    compose = yaml.safe_load((DEPLOY / "compose.yaml").read_text())
+    assert f"./config:{folder}" in compose["services"]["bearing-twin"]["volumes"]
+
+
 def test_the_container_is_watched_and_bounded() -> None:
     compose = yaml.safe_load((DEPLOY / "compose.yaml").read_text())
     service = compose["services"]["bearing-twin"]
@@ -210,7 +222,11 @@ def test_pods_are_bounded_and_may_do_nothing_else(manifests: list[dict[str, Any]
             kept = {one["name"] for one in container.get("volumeMounts", ())}
             assert kept <= volumes | {"data"}, name
             for variable in container.get("env", ()):
-                assert variable["valueFrom"]["secretKeyRef"]["key"] in secret, name
+                source = variable.get("valueFrom", {})
+                if "secretKeyRef" in source:
+                    assert source["secretKeyRef"]["key"] in secret, name
+                else:  # the name of the pod, or a password from the secret within an address
+                    assert "fieldRef" in source or "_PASSWORD)" in variable["value"], name
         for volume in pod["spec"].get("volumes", ()):
             if "configMap" in volume:
                 assert volume["configMap"]["name"] in config_maps, name
@@ -225,7 +241,7 @@ def test_pods_are_bounded_and_may_do_nothing_else(manifests: list[dict[str, Any]
         for one in manifests
         if one["kind"] == "PodDisruptionBudget"
     }
-    assert budgets == {"cell", "web"}
+    assert budgets == {"cell", "web", "nats"}
 
 
 def test_the_configuration_of_the_cluster_is_right(

@@ -6,6 +6,8 @@ import sys
 
 import pytest
 
+pytestmark = pytest.mark.wires
+
 #: In a process of its own: what is configured there is for the whole process.
 PROGRAM = """
 import logging, sys

@@ -6,17 +6,17 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
-import httpx2
 import pytest
 import yaml
-from processes import Command, free_port, wait_until
+from processes import Station, free_port, wait_until
 from programs import needed
+from site_files import asset_text, write_site
+
+pytestmark = pytest.mark.wires
 
 DEPLOY = Path(__file__).parents[2] / "deploy"
 PROMETHEUS, GRAFANA = DEPLOY / "prometheus", DEPLOY / "grafana"
 SITE = """
-[service]
-port = {port}
 [mqtt]
 enabled = true
 port = {closed}
@@ -25,14 +25,10 @@ name = "gateway"
 driver = "modbus-tcp"
 host = "127.0.0.1"
 port = {closed}
-[[assets]]
-id = "axle-1"
-bearing = "6311"
-low_risk = {{ speed_rpm_max = 4300, load_n_max = 3400 }}
-[assets.channels]
-t_inner_ring_c = {{ source = "gateway", register = 0 }}
-speed_rpm = {{ source = "push" }}
 """
+CHANNELS = (
+    't_inner_ring_c = { source = "gateway", register = 0 }\nspeed_rpm = { source = "push" }\n'
+)
 #: Of Prometheus itself.
 UP = "up"
 
@@ -46,23 +42,17 @@ def rules() -> list[dict[str, Any]]:
 @pytest.fixture(scope="module")
 def measured(tmp_path_factory: pytest.TempPathFactory) -> set[str]:
     """Names of all metrics that a service gives, whether they have a value yet or not."""
-    folder, port = tmp_path_factory.mktemp("measured"), free_port()
-    configuration = folder / "site.toml"
-    configuration.write_text(SITE.format(port=port, closed=free_port()))
-    service = Command(["serve", "-c", str(configuration)], folder / "serve.log")
+    folder = tmp_path_factory.mktemp("measured")
+    text = SITE.format(closed=free_port()) + asset_text("axle-1", CHANNELS)
+    with Station(folder, *write_site(folder, text)) as station:
+        station.start_service()
 
-    def metrics() -> str | None:
-        try:
-            text = httpx2.get(f"http://127.0.0.1:{port}/metrics", timeout=10).text
-        except httpx2.HTTPError:
-            return None
-        # The plant side hands its metrics over a moment after its start.
-        return text if "bearing_twin_publisher_up" in text else None
+        def metrics() -> str | None:
+            # The plant side hands its metrics over a moment after its start.
+            text = station.client.get("/metrics").text
+            return text if "bearing_twin_publisher_up" in text else None
 
-    try:
         text = wait_until(metrics, 60, "the metrics of all sides")
-    finally:
-        service.end()
     found = set()
     for name, kind in re.findall(r"^# TYPE (\S+) (\S+)", text, re.MULTILINE):
         found |= {f"{name}_{part}" for part in ("bucket", "sum", "count") if kind == "histogram"}

@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from inside import serve
 
+from service.app.one_process import serve_in_one_process
 from service.service_manager import ServiceManager
 from service.site.settings import ServiceSection, Settings
 
@@ -62,7 +62,9 @@ class Running:
         self._thread.start()
 
     async def _run(self) -> None:
-        await serve(self._settings, announce=lambda _: self.is_ready.set(), stop=self._stop)
+        await serve_in_one_process(
+            self._settings, announce=lambda _: self.is_ready.set(), stop=self._stop
+        )
 
     def end(self) -> None:
         self.loop.call_soon_threadsafe(self._stop.set)
@@ -85,6 +87,7 @@ def run(tmp_path: Path) -> Iterator[Callable[[], Running]]:
             service.end()
 
 
+@pytest.mark.wires
 def test_it_says_ready_alive_and_stopping_and_nothing_while_the_loop_is_blocked(
     manager: socket.socket, run: Callable[[], Running]
 ) -> None:

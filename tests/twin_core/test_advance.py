@@ -20,7 +20,7 @@ from twin_core.network import (
     Sensor,
     compile_network,
 )
-from twin_core.observer import Observer, Step, advance
+from twin_core.observer import Observation, Observer, advance
 from twin_core.observers import Observers
 from twin_core.parameters import Parameter, ParameterSet
 
@@ -90,10 +90,10 @@ def models() -> list[ThermalModel]:
     return [objects[k % 4] for k in range(MACHINES)]
 
 
-def random_step(rng: np.random.Generator, model: ThermalModel, machine: int) -> Step:
+def random_step(rng: np.random.Generator, model: ThermalModel, machine: int) -> Observation:
     names = (*model.sensor_names, *model.node_names[:2])
     fitted = names if machine % 3 else names[:1]
-    return Step(
+    return Observation(
         float(rng.choice([0.0, 1.0, 5.0, 60.0, 300.0])),
         float(rng.uniform(-3000.0, 3000.0)),
         float(rng.uniform(-10.0, 4000.0)),
@@ -103,7 +103,7 @@ def random_step(rng: np.random.Generator, model: ThermalModel, machine: int) -> 
     )
 
 
-def taken(observer: Observer, step: Step) -> object:
+def taken(observer: Observer, step: Observation) -> object:
     try:
         observer.predict(*step[:5])
         return observer.update(step.measured)
@@ -170,7 +170,7 @@ def test_fifty_machines_of_two_forms_are_as_fifty_alone() -> None:
 
 def test_a_machine_that_runs_away_is_left_as_it_was_and_the_others_go_on() -> None:
     many = [begun(build_model(bearing=bearing("6311")), k) for k in range(3)]
-    usual = Step(60.0, 2000.0, 1000.0, 20.0, (), {"t_inner_ring_c": 50.0})
+    usual = Observation(60.0, 2000.0, 1000.0, 20.0, (), {"t_inner_ring_c": 50.0})
     advance(many, [usual] * 3)
     before = [one.to_dict() for one in many]
     found = advance(many, [usual, usual._replace(ambient_c=1e9), usual])
@@ -193,7 +193,9 @@ def test_machines_of_one_form_cost_one_call(monkeypatch: pytest.MonkeyPatch) -> 
 
     monkeypatch.setattr(Observers, "advance", counted)
     many = [begun(model, k) for k, model in enumerate(models()[:8])]
-    steps = [Step(1.0, 2000.0, 1000.0, 20.0, (25.0, 5.0) if k % 2 else (), {}) for k in range(8)]
+    steps = [
+        Observation(1.0, 2000.0, 1000.0, 20.0, (25.0, 5.0) if k % 2 else (), {}) for k in range(8)
+    ]
     advance(many, steps)
     advance(many, steps)
     # Where some have nothing to do, the others still need no copy.
@@ -204,7 +206,7 @@ def test_machines_of_one_form_cost_one_call(monkeypatch: pytest.MonkeyPatch) -> 
 def test_other_parameters_of_a_bearing_are_another_form() -> None:
     """The factors of its network are not those of a machine but of the form."""
     small, large = build_model(bearing=bearing("6016")), build_model(bearing=bearing("6311"))
-    step = Step(60.0, 2000.0, 1000.0, 20.0, (), {"t_inner_ring_c": 50.0})
+    step = Observation(60.0, 2000.0, 1000.0, 20.0, (), {"t_inner_ring_c": 50.0})
     together, alone = ([begun(small, 1), begun(large, 2)] for _ in range(2))
     advance(together, [step, step])
     for one, other in zip(together, alone, strict=True):

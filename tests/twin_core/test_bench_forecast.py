@@ -22,6 +22,7 @@ from twin_core.bearings import bearing
 from twin_core.forecasting import Forecast, forecast
 from twin_core.forecasting.labels import RUNAWAY
 from twin_core.identification import (
+    FitSettings,
     IdentificationData,
     IdentificationResult,
     IdentificationWindow,
@@ -115,7 +116,7 @@ def story(request: pytest.FixtureRequest) -> Story:
     first_window = find_windows(minutes, REGION)[0]
     low = minutes.between(first_window.start_s, first_window.end_s)
     data = IdentificationData((IdentificationWindow(low, first_window.at_rest),))
-    result = identify(model, data, seed=1)
+    result = identify(model, data, FitSettings(seed=1))
     report = judge(model, data, result, active=prior_posterior(model))
     first = low.size - 1
     observer = observe(model, result.posterior.z, minutes, first + 1)

@@ -17,7 +17,7 @@ from twin_core.drift import (
 )
 from twin_core.identification.posterior import Posterior, TrainedRange, prior_posterior
 from twin_core.models import ThermalModel, build_model
-from twin_core.operating_points import OperatingPoint
+from twin_core.operating_points import OperatingSpan
 from twin_core.quantities import ReferencePoint, evaluate, parameter_groups, quantities
 from twin_core.similarity import Similarity, nearest, similarity
 
@@ -27,17 +27,12 @@ POINT = ReferencePoint(3600.0, 2650.0, 50.0)
 DAY = ((2400.0, 2650.0, 5.0), (3600.0, 2650.0, 5.0), (4200.0, 3300.0, 3.0))
 
 
-@pytest.fixture(scope="module")
-def model() -> ThermalModel:
-    return build_model(bearing=bearing("6311"))
-
-
 def trained(
     day: tuple[tuple[float, float, float], ...] = DAY, start_s: float = 0.0, run_in: bool = True
 ) -> TrainedRange:
     points = []
     for speed_rpm, load_n, hours in day:
-        points.append(OperatingPoint(speed_rpm, load_n, hours * HOUR, start_s))
+        points.append(OperatingSpan(speed_rpm, load_n, hours * HOUR, start_s))
         start_s += hours * HOUR
     return TrainedRange(tuple(points), 780, False, 1e8 if run_in else 0.0)
 

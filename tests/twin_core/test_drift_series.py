@@ -10,7 +10,7 @@ from twin_core.bearings import bearing
 from twin_core.drift_series import LIMIT, follow, values_of
 from twin_core.identification.posterior import Posterior, TrainedRange, prior_posterior
 from twin_core.models import ThermalModel, build_model
-from twin_core.operating_points import OperatingPoint
+from twin_core.operating_points import OperatingSpan
 from twin_core.quantities import ReferencePoint, quantities
 
 POINT = ReferencePoint(3600.0, 2650.0, 50.0)
@@ -39,7 +39,7 @@ def series(
         noise = np.sqrt(SAME_RUN) * rng.normal(size=p)
         seen = sensitivity.T @ (sensitivity @ (start + moved) + noise)
         speed = speeds[day % len(speeds)]
-        points = (OperatingPoint(speed, 2650.0, DAY_S / 2, day * DAY_S),)
+        points = (OperatingSpan(speed, 2650.0, DAY_S / 2, day * DAY_S),)
         found.append(
             replace(
                 prior_posterior(model),

@@ -1,19 +1,13 @@
 import numpy as np
 import pytest
 
-from twin_core.bearings import bearing
 from twin_core.filtering import begin, run_filter
-from twin_core.models import ThermalModel, build_model
+from twin_core.models import ThermalModel
 from twin_core.observer import Observer
-from twin_core.profiles import OperatingPoint
+from twin_core.profiles import Point
 from twin_core.simulation import OperatingProfile, simulate
 
-COLD = OperatingPoint(0.0, 0.0, 22.0)
-
-
-@pytest.fixture(scope="module")
-def model() -> ThermalModel:
-    return build_model(bearing=bearing("6311"))
+COLD = Point(0.0, 0.0, 22.0)
 
 
 @pytest.fixture(scope="module")

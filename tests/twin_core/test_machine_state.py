@@ -3,20 +3,14 @@ import json
 import numpy as np
 import pytest
 
-from twin_core.bearings import bearing
 from twin_core.forecasting import forecast
 from twin_core.identification.posterior import prior_posterior
 from twin_core.initial_state import initial_state
 from twin_core.machine_state import FOLLOWED_S, MachineState, course_known
-from twin_core.models import ThermalModel, build_model
+from twin_core.models import ThermalModel
 from twin_core.observer import Observer
-from twin_core.profiles import OperatingPoint
+from twin_core.profiles import Point
 from twin_core.simulation import OperatingProfile
-
-
-@pytest.fixture(scope="module")
-def model() -> ThermalModel:
-    return build_model(bearing=bearing("6311"))
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +32,7 @@ def test_an_observer_gives_all_it_knows(observer: Observer) -> None:
     np.testing.assert_array_equal(state.covariance, observer.covariance)
     np.testing.assert_array_equal(state.heat_disturbance_w, observer.heat_disturbance_w)
     assert state.revolutions == 1000.0 + 20 * 3000.0
-    assert state.operating_point == OperatingPoint(3000.0, 2650.0, 22.5)
+    assert state.operating_point == Point(3000.0, 2650.0, 22.5)
     assert (state.ambient_c, state.inputs, state.course_known) == (22.5, (), 0.25)
     assert observer.state(19.0).ambient_c == 19.0, "what it is now"
     assert observer.state(19.0).operating_point == state.operating_point, "what it was up to now"

@@ -16,11 +16,6 @@ STAGES = ((1500.0, 2650.0), (4200.0, 2650.0), (6200.0, 2650.0), (6200.0, 4500.0)
 STEP_S = 10.0
 
 
-@pytest.fixture(scope="module")
-def model() -> ThermalModel:
-    return build_model(bearing=bearing("6311"))
-
-
 def _truth() -> tuple[OperatingProfile, np.ndarray, np.ndarray]:
     """A bench with another friction law, contacts twice as bad and 60 % more viscous friction."""
     bench = build_model("paper", bearing=bearing("6311"))

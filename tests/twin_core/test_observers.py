@@ -8,19 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from twin_core.bearings import bearing
-from twin_core.models import ThermalModel, build_model
+from twin_core.models import ThermalModel
 from twin_core.observer import Observer
 from twin_core.observers import Observers
 from twin_core.simulation import SimulationError
 
 SENSORS = ("t_inner_ring_c", "t_outer_ring_c", "t_node_7_c")
 MACHINES = 5
-
-
-@pytest.fixture(scope="module")
-def model() -> ThermalModel:
-    return build_model(bearing=bearing("6311"))
 
 
 @pytest.fixture(scope="module")

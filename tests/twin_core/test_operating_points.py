@@ -7,7 +7,7 @@ import pytest
 
 from twin_core.operating_points import (
     HELD_S,
-    OperatingPoint,
+    OperatingSpan,
     split,
     taught_values,
     usual_levels,
@@ -28,7 +28,7 @@ def ridden(
     return time_s, speed, load
 
 
-def duty_of(time_s: np.ndarray, speed: np.ndarray, load: np.ndarray) -> tuple[OperatingPoint, ...]:
+def duty_of(time_s: np.ndarray, speed: np.ndarray, load: np.ndarray) -> tuple[OperatingSpan, ...]:
     spacing_s = float(np.median(np.diff(time_s)))
     return varying_duty(time_s, speed, load, split(time_s, speed, load, spacing_s), spacing_s)
 
@@ -70,7 +70,7 @@ def test_standstill_is_no_duty_and_a_pause_joins_nothing() -> None:
 
 
 def test_levels_are_the_thirds_of_the_time() -> None:
-    points = [OperatingPoint(1000.0, load, HELD_S, 0.0) for load in (3000.0, 1000.0, 2000.0)]
+    points = [OperatingSpan(1000.0, load, HELD_S, 0.0) for load in (3000.0, 1000.0, 2000.0)]
     assert usual_levels(points) == ((1000.0, 1000.0), (1000.0, 2000.0), (1000.0, 3000.0))
     assert usual_levels(points[:1]) == ((1000.0, 3000.0),)
     assert usual_levels([]) == ()

@@ -19,11 +19,6 @@ from twin_core.simulation import heat_balance_w, steady_state
 POINT = ReferencePoint(3600.0, 2650.0, 50.0)
 
 
-@pytest.fixture(scope="module")
-def model() -> ThermalModel:
-    return build_model(bearing=bearing("6311"))
-
-
 def _value(model: ThermalModel, z: np.ndarray, name: str) -> float:
     names = [quantity.name for quantity in quantities(model, POINT)]
     return float(evaluate(model, z, POINT)[names.index(name)])

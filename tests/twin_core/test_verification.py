@@ -14,7 +14,11 @@ from twin_core.verification import (
     FOLLOWED_RPM,
     LEAD_TIMES_S,
     SHIFT_S,
+    FollowedBand,
     MinuteCourse,
+    band_at,
+    independent_runs,
+    kept_rows,
     minute_course,
     value_at,
     verify,
@@ -176,3 +180,89 @@ def test_a_value_between_minutes_is_that_of_a_straight_course(minute: float, slo
     assert value_at(gone, minute) is None
     assert value_at(means, -0.1) is None
     assert value_at(means, 20.0) is None
+
+
+def stopped(at_minute: int, minutes: int = 240, without_speed_from: int = 240) -> MinuteCourse:
+    """A machine that holds a point and stops in a minute."""
+    rows = np.arange(minutes)
+    speed_rpm = np.where(rows < at_minute, 3000.0, 0.0)
+    speed_rpm[rows >= without_speed_from] = np.nan
+    return minute_course([14_400.0], [3000.0], [2650.0], 60.0 * rows, speed_rpm, rows * 0.0 + 2650)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(1, 200), st.integers(1, 239))
+def test_the_last_minute_that_was_followed_is_the_one_before_the_stop(
+    at_minute: int, lead_minutes: int
+) -> None:
+    last = stopped(at_minute).last_followed(60.0 * lead_minutes)
+    assert last == min(at_minute, lead_minutes) - 1
+    assert stopped(0).last_followed(3600.0) is None
+
+
+def followed(course: MinuteCourse, measured_c: np.ndarray, above_from: int = 240) -> FollowedBand:
+    """Band from 50 to 60 degC and of the run from 48 to 62; measured 65 degC from a minute on."""
+    rows = np.arange(course.time_s.size)
+    band_c = np.tile([50.0, 60.0, 48.0, 62.0], (rows.size, 1))
+    return FollowedBand(course, np.where(rows >= above_from, measured_c + 10.0, measured_c), band_c)
+
+
+def test_a_plan_that_is_left_is_scored_at_its_last_minute() -> None:
+    measured_c = np.full(240, 55.0)
+    inside = followed(stopped(40), measured_c).left(7200.0)
+    outside = followed(stopped(40), measured_c, above_from=35).left(7200.0)
+    assert inside is not None
+    assert outside is not None
+    assert (inside.after_s, inside.measured_c, inside.is_inside) == (39 * 60.0 + 30.0, 55.0, True)
+    assert (outside.measured_c, outside.high_c, outside.is_inside) == (65.0, 60.0, False)
+    # A sensor that did not measure in that minute did in one of the five before, or says nothing.
+    for gap, found in ((3, True), (8, False)):
+        some_c = measured_c.copy()
+        some_c[40 - gap :] = np.nan
+        assert (followed(stopped(40), some_c).left(7200.0) is not None) == found
+
+
+@pytest.mark.parametrize("without_speed_from", [240, 60])
+def test_a_sensor_that_is_lost_above_its_band_was_outside(without_speed_from: int) -> None:
+    course = stopped(240, without_speed_from=without_speed_from)
+    lost_c = np.full(240, 55.0)
+    lost_c[50:] = np.nan
+    above = followed(course, lost_c, above_from=45).lost_above(7200.0)
+    assert above is not None
+    assert (above.after_s, above.is_inside) == (49 * 60.0 + 30.0, False)
+    assert followed(course, lost_c).lost_above(7200.0) is None, "lost inside: not of the forecast"
+    assert followed(course, lost_c * np.nan).lost_above(7200.0) is None
+
+
+def test_a_run_is_inside_with_all_of_its_minutes_or_not() -> None:
+    measured_c = np.full(240, 55.0)
+    band = followed(stopped(240), measured_c, above_from=100)
+    assert [band.run_inside(60.0 * end) for end in (60, 100, 101, 240)] == [
+        True, True, False, False,
+    ]  # fmt: skip
+    few_c = measured_c.copy()
+    few_c[10:30] = np.nan
+    assert followed(stopped(240), few_c).run_inside(60.0 * 60) is None
+    assert followed(stopped(240), few_c).run_inside(60.0 * 240) is True
+    assert followed(stopped(240), few_c, above_from=40).run_inside(60.0 * 60) is False
+    assert band.run_inside(30.0) is None
+
+
+@settings(max_examples=40, deadline=None)
+@given(SEEDS)
+def test_bands_at_a_few_times_are_those_of_all(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    time_s = np.sort(rng.choice(14_400, 120, replace=False)).astype(float)
+    level = np.where(time_s > rng.uniform(0, 14_400), 20.0, 0.0)
+    curves_c = np.stack([level * (1 - np.exp(-time_s / 1800.0)) + k * 3.0 for k in range(4)])
+    rows = kept_rows(time_s, curves_c, [0.05] * 4)
+    again_c = band_at(time_s[rows], curves_c[:, rows].T, time_s)
+    assert np.max(np.abs(again_c.T - curves_c)) <= 0.05 + 1e-9
+    assert len(rows) < 60
+
+
+def test_forecasts_that_overlap_count_as_one() -> None:
+    every_ten_minutes = [600.0 * k for k in range(37)]
+    assert independent_runs(every_ten_minutes, 3600.0) == 7
+    assert independent_runs(reversed(every_ten_minutes), 600.0) == 37
+    assert independent_runs([], 600.0) == 0

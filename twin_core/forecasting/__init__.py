@@ -1,10 +1,6 @@
 """Forecasts with honest intervals, and the naive ones that they must beat."""
 
-from twin_core.forecasting.ensemble import (
-    Exceedance,
-    Forecast,
-    forecast,
-)
+from twin_core.forecasting.ensemble import forecast
 from twin_core.forecasting.forecasters import (
     Fit,
     Forecaster,
@@ -13,6 +9,7 @@ from twin_core.forecasting.forecasters import (
     of_ensemble,
     with_normal_band,
 )
+from twin_core.forecasting.result import Exceedance, Forecast
 from twin_core.scores import QUANTILE_LEVELS
 
 __all__ = [

@@ -1,4 +1,8 @@
-"""Bands made wider or narrower by what the forecasts of sisters would have needed."""
+"""Bands made wider by what the forecasts of sisters would have needed.
+
+Never narrower: a few tens of bearings can confirm a band, not narrow it, and that a machine is one
+of its family is doubted in the band itself (`twin_core.sisters.trust`).
+"""
 
 from collections.abc import Sequence
 
@@ -14,7 +18,7 @@ FloatArray = NDArray[np.float64]
 
 
 def untrained_rows(profile: OperatingProfile, trained: TrainedRange) -> NDArray[np.bool_]:
-    """Tell from which row on a machine has gone beyond its trained loads and speeds, (n,)."""
+    """Return from which row on a machine has gone beyond its trained loads and speeds, (n,)."""
     speed = np.abs(profile.speed_rpm)
     running = speed >= STANDING_RPM
     beyond = running & (profile.load_n > BEYOND * trained.load_n_max)
@@ -23,15 +27,7 @@ def untrained_rows(profile: OperatingProfile, trained: TrainedRange) -> NDArray[
 
 
 def band_factor(posterior: Posterior, profile: OperatingProfile) -> BandFactor | None:
-    """Give the factor on a forecast's band; None where too few sisters went that far.
-
-    Parameters
-    ----------
-    posterior
-        What the forecast rests on.
-    profile
-        What lies ahead.
-    """
+    """Factor on a forecast's band; None where too few sisters went that far."""
     if posterior.sisters is None:
         return None
     rows = untrained_rows(profile, posterior.trained)
@@ -52,18 +48,10 @@ def spread_members(
     factor: BandFactor,
     rows: NDArray[np.bool_],
 ) -> FloatArray:
-    """Move members away from their median, or towards it; returns the factors (n, sensors).
+    """Move members away from their median; returns the factors (n, sensors).
 
-    Parameters
-    ----------
-    readings
-        (members, n, sensors) in degC; changed in place.
-    sensors
-        Their names; one that no run of a sister has keeps its band.
-    factor
-        By how much.
-    rows
-        (n,) where.
+    `readings` (members, n, sensors) in degC; changed in place; `sensors`: their names; one that no
+    run of a sister has keeps its band; `factor`: by how much; `rows` (n,) where.
     """
     wanted = np.array([factor.by_sensor.get(name, 1.0) for name in sensors])
     factors = np.where(rows[:, None], wanted, 1.0)

@@ -7,52 +7,63 @@ against 0.7 K at 4000 N, coverage 77 %), though it looked informative.
 """
 
 from collections.abc import Iterator, Sequence
-from itertools import pairwise
+from itertools import combinations, pairwise
 
 import numpy as np
 
-from twin_core.forecasting.design import Level
 from twin_core.operating_points import (
+    HELD_S,
     NEW_LOAD,
     NEW_SPEED,
-    OperatingPoint,
+    OperatingSpan,
     alike,
     distinct_values,
 )
+from twin_core.profiles import Step
 from twin_core.windows import MEASURED_TOLERANCE, LowRiskRegion
 
-LOAD_FRACTIONS = (0.4, 0.6, 0.8, 1.0)
-SPEED_FRACTIONS = (0.6, 1.0)
-SINGLE_DURATIONS_S = (2700.0, 5400.0)
-PAIR_DURATIONS_S = (2700.0, 3600.0)
-_ROUND_LOAD_N = 50.0
-_ROUND_SPEED_RPM = 50.0
-_LEAST_LOAD_RATIO = 1.15
-_TAUGHT_S = 1200.0
+DURATIONS_S = (600.0, 900.0, 1200.0, 2700.0, 3600.0)
+"""How long a step may hold each of its levels."""
+_FRACTIONS = (0.4, 0.6, 0.8, 1.0)
+_ROUND_TO = 50.0  # rpm, N
+_LEAST_RATIO = 1.15
 
 
 def candidates(
-    trained: Sequence[OperatingPoint], target: Level, region: LowRiskRegion
-) -> Iterator[tuple[Level, ...]]:
+    trained: Sequence[OperatingSpan], target: Step, region: LowRiskRegion
+) -> Iterator[tuple[Step, ...]]:
     """Steps worth comparing, all inside the region; those with both changed at once too.
 
-    Speeds: that of the target if the region has it, those of the data, the region's highest and
-    six tenths of it. Loads: four levels of the region's highest, and those of the data. Each as a
-    single level, and in pairs of loads at one speed that differ by 15 % or more.
+    Speeds: that of the target if the region has it, those of the data, four levels of the region's
+    highest. Loads: four levels of the region's highest, and those of the data. Each as a single
+    level, in pairs of loads at one speed, and in pairs of speeds at a load of the data; a pair
+    differs by 15 % or more. Each level lasts `DURATIONS_S`; what must not be run is named once.
     """
-    lasting = [point for point in trained if point.duration_s >= _TAUGHT_S]
+    for points in _paths(trained, target, region):
+        longest = tuple(Step(speed, load, DURATIONS_S[-1]) for speed, load in points)
+        for duration_s in DURATIONS_S if why_not(longest, trained) is None else DURATIONS_S[-1:]:
+            yield tuple(Step(speed, load, duration_s) for speed, load in points)
+
+
+def _paths(
+    trained: Sequence[OperatingSpan], target: Step, region: LowRiskRegion
+) -> Iterator[tuple[tuple[float, float], ...]]:
+    """Speeds and loads of the levels of each step, in time order."""
+    lasting = [point for point in trained if point.duration_s >= HELD_S]
     known_speeds = [_within(point.speed_rpm, region.speed_rpm_max) for point in lasting]
     known_loads = [_within(point.load_n, region.load_n_max) for point in lasting]
-    highest = [_rounded(part * region.speed_rpm_max, _ROUND_SPEED_RPM) for part in SPEED_FRACTIONS]
-    speeds = distinct_values(
-        [
-            speed
-            for speed in (target.speed_rpm, *sorted(known_speeds, reverse=True), *highest)
-            if 0.0 < speed <= region.speed_rpm_max
-        ],
-        NEW_SPEED,
+    fastest = [_rounded(part * region.speed_rpm_max) for part in _FRACTIONS]
+    speeds = sorted(
+        distinct_values(
+            [
+                speed
+                for speed in (target.speed_rpm, *known_speeds, *reversed(fastest))
+                if 0.0 < speed <= region.speed_rpm_max
+            ],
+            NEW_SPEED,
+        )
     )
-    heaviest = [_rounded(part * region.load_n_max, _ROUND_LOAD_N) for part in LOAD_FRACTIONS]
+    heaviest = [_rounded(part * region.load_n_max) for part in _FRACTIONS]
     loads = sorted(
         distinct_values(
             [load for load in (*known_loads, *heaviest) if 0.0 < load <= region.load_n_max],
@@ -60,29 +71,30 @@ def candidates(
         )
     )
     for speed in speeds:
+        yield from (((speed, load),) for load in loads)
         untried = not any(alike(speed, known, NEW_SPEED) for known in known_speeds)
-        for load in loads:
-            for duration_s in SINGLE_DURATIONS_S:
-                yield (Level(speed, load, duration_s),)
-        for low in loads:
-            for high in loads:
-                if high < _LEAST_LOAD_RATIO * low:
-                    continue
-                # At an untried speed the first load must be one that the data know.
-                first, second = low, high
-                if untried and not any(alike(low, known, NEW_LOAD) for known in known_loads):
-                    first, second = high, low
-                for duration_s in PAIR_DURATIONS_S:
-                    yield (Level(speed, first, duration_s), Level(speed, second, duration_s))
+        for low, high in _pairs(loads):
+            # At an untried speed the first load must be one that the data know.
+            known_first = any(alike(low, known, NEW_LOAD) for known in known_loads)
+            first, second = (high, low) if untried and not known_first else (low, high)
+            yield (speed, first), (speed, second)
+    for load in loads:
+        if any(alike(load, known, NEW_LOAD) for known in known_loads):
+            yield from (((low, load), (high, load)) for low, high in _pairs(speeds))
 
 
-def why_not(levels: Sequence[Level], trained: Sequence[OperatingPoint]) -> str | None:
+def _pairs(values: Sequence[float]) -> Iterator[tuple[float, float]]:
+    """Pairs of ascending values that differ enough."""
+    return ((low, high) for low, high in combinations(values, 2) if high >= _LEAST_RATIO * low)
+
+
+def why_not(levels: Sequence[Step], trained: Sequence[OperatingSpan]) -> str | None:
     """Say why a step must not be run for learning: speed and load changed at once; None if not.
 
     The first level must share its speed or its load with an operating point of the data; after
     it only one of the two may change from level to level.
     """
-    known = [point for point in trained if point.duration_s >= _TAUGHT_S] or list(trained)
+    known = [point for point in trained if point.duration_s >= HELD_S] or list(trained)
     first = levels[0]
     if not any(
         alike(first.speed_rpm, point.speed_rpm, NEW_SPEED)
@@ -116,5 +128,5 @@ def _within(value: float, highest: float) -> float:
     return highest if highest < tidy <= (1.0 + MEASURED_TOLERANCE) * highest else tidy
 
 
-def _rounded(value: float, to: float) -> float:
-    return float(np.floor(value / to) * to)
+def _rounded(value: float) -> float:
+    return float(np.floor(value / _ROUND_TO) * _ROUND_TO)

@@ -7,7 +7,7 @@ what the step will measure, so steps can be compared before any of them is run.
 """
 
 from collections.abc import Collection, Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import astuple
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +25,7 @@ from twin_core.identification.whitening import whitening
 from twin_core.machine_state import MachineState
 from twin_core.models import ThermalModel
 from twin_core.process_noise import DEVIATION_K
+from twin_core.profiles import Step
 from twin_core.simulation import (
     OperatingProfile,
     SimulationError,
@@ -45,59 +46,26 @@ _NOISE_VARIANCE_K2 = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Level:
-    """A span at constant speed and load."""
-
-    speed_rpm: float
-    load_n: float
-    duration_s: float
-
-
 class Taught(NamedTuple):
-    """What a step would bring.
+    """What a step would bring."""
 
-    Attributes
-    ----------
-    std_k
-        (sensors,) standard deviation of the forecast after the step.
-    shifted_std_k
-        (sensors,) the same if the machine's friction during the step may differ by
-        `FRICTION_SHIFT` from what it was before and will be.
-    shifted_difference_std_k
-        The same of the difference between the rings.
-    upper_c
-        (rows, sensors) upper edge (97.5 %) of the readings, minute by minute.
-    """
-
-    std_k: FloatArray
+    std_k: FloatArray  # (sensors,) standard deviation of the forecast after the step
+    #: (sensors,) the same if the machine's friction during the step may differ by `FRICTION_SHIFT`
+    #: from what it was before and will be.
     shifted_std_k: FloatArray
-    shifted_difference_std_k: float
-    upper_c: FloatArray
+    shifted_difference_std_k: float  # the same of the difference between the rings
+    upper_c: FloatArray  # (rows, sensors) upper edge (97.5 %) of the readings, minute by minute
 
 
 class Design:
     """Compares steps by what they would teach about a forecast.
 
-    Parameters
-    ----------
-    model, posterior
-        What is known of the machine; they must belong together.
-    state
-        Where steps and forecast begin; its ambient temperature and inputs are held.
-    sensors
-        Names of the sensors that are forecast.
-    measured
-        Names of the sensors and nodes at which the machine has a sensor; others are ignored.
-    target
-        What is to be forecast: the reading of every sensor at the end of this level.
+    `state`: where steps and forecast begin; its ambient temperature and inputs are held;
+    `measured`: names of the sensors and nodes at which the machine has a sensor; others are
+    ignored; `target`: what is to be forecast: the reading of every sensor at the end of this level.
 
-    Attributes
-    ----------
-    std_k
-        (sensors,) present standard deviation of that forecast, by the linearisation.
-    difference_std_k
-        The same of the difference between the rings at the target.
+    Attributes: `std_k` (sensors,) present standard deviation of that forecast, by the
+    linearisation; `difference_std_k`: the same of the difference between the rings at the target.
     """
 
     def __init__(
@@ -107,11 +75,12 @@ class Design:
         state: MachineState,
         sensors: Sequence[str],
         measured: Collection[str],
-        target: Level,
+        target: Step,
     ) -> None:
         posterior.check(model)
         self._model = model = model.holding(state.inputs)
         self._state = state
+        self.target = target
         more = [name for name in model.node_names if name in measured and name not in sensors]
         names = [*sensors, *more]
         self._rows = model.sensor_matrix(names)
@@ -144,14 +113,8 @@ class Design:
         self.std_k: FloatArray = now_k[:-1]
         self.difference_std_k = float(now_k[-1])
 
-    def after(self, levels: Sequence[Level]) -> Taught:
-        """What a step would bring.
-
-        Parameters
-        ----------
-        levels
-            The step, from the present state.
-        """
+    def after(self, levels: Sequence[Step]) -> Taught:
+        """What a step would bring."""
         path, gradient = self._sensitivities(levels)
         heaviest_n = max(level.load_n for level in levels)
         count = len(gradient)
@@ -181,10 +144,10 @@ class Design:
             np.sqrt(variance + self._noise_variance_k2 + (beyond * self._deviation_k) ** 2)
         )
 
-    def _profile(self, levels: Sequence[Level]) -> OperatingProfile:
+    def _profile(self, levels: Sequence[Step]) -> OperatingProfile:
         return held_profile(levels, self._state.ambient_c, self._state.inputs)
 
-    def _sensitivities(self, levels: Sequence[Level]) -> tuple[FloatArray, FloatArray]:
+    def _sensitivities(self, levels: Sequence[Step]) -> tuple[FloatArray, FloatArray]:
         """Readings (n, sensors), and their derivatives (d, n, sensors); infinite if it runs away.
 
         A parameter at its bound counts as one that can still move.
@@ -209,7 +172,7 @@ class Design:
         along = np.concatenate((by_z, found.by_initial), axis=2)
         return found.temperatures_c, np.ascontiguousarray(np.moveaxis(along, 2, 0))
 
-    def _shift_k(self, levels: Sequence[Level], path: FloatArray) -> FloatArray:
+    def _shift_k(self, levels: Sequence[Step], path: FloatArray) -> FloatArray:
         """Change of the readings (n, sensors) by a little more friction throughout the step."""
         values = self._model.parameters.values_from_z(self._z)
         _, _, _, share = kernels.bind_network(self._model.compiled, values)
@@ -236,12 +199,9 @@ class Design:
 
 
 def held_profile(
-    levels: Sequence[Level], ambient_c: float, inputs: Sequence[float] = ()
+    levels: Sequence[Step], ambient_c: float, inputs: Sequence[float] = ()
 ) -> OperatingProfile:
-    """Rows of one minute over levels held one after the other, from now.
-
-    The ambient temperature, and a network's inputs (k,), stay as they are.
-    """
+    """Rows of one minute over levels one after the other; ambient and inputs (k,) are held."""
     ends = np.cumsum([level.duration_s for level in levels])
     time_s = np.unique(np.concatenate((np.arange(0.0, ends[-1], 60.0), ends)))
     index = np.minimum(np.searchsorted(ends, time_s, side="right"), len(levels) - 1)

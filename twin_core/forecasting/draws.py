@@ -44,12 +44,7 @@ def standard_normals(rng: np.random.Generator, shape: tuple[int, ...]) -> FloatA
 
     Ensembles of one seed draw the same numbers again and again, of which the latest are kept.
 
-    Parameters
-    ----------
-    rng
-        With PCG64, as of `numpy.random.default_rng`.
-    shape
-        Of the result.
+    `rng`: with PCG64, as of `numpy.random.default_rng`.
     """
     if math.prod(shape) > _LARGEST:
         return _in_pieces(rng, shape)

@@ -1,17 +1,35 @@
 """Forecasts with intervals: an ensemble over parameters, present state and what models leave out.
 
-Members are the model with parameter samples of the posterior, started from states drawn from the
-observer's, run over the profile ahead. To each sensor and node a slow deviation is added, which
-begins at zero (the state has just been observed) and grows to its stationary spread: what no
-parameter vector can express. Sensors further get their lag, constant offset, noise and resolution.
+`forecast` has six steps. For member m, row k at the time t_k, sensor s and node i:
 
-Intervals are not shrunk by any general calibration: a factor learned on machines that share one
-load law would be knowledge of those machines. Only what sisters of this very machine needed counts,
-where enough of them have been (`twin_core.forecasting.calibrated`).
+1. *draw*: parameters p_m from the posterior, temperatures T_m(t_0) from the observer's state, heats
+   q_m beyond the model that set each member on the observed course, all random numbers; in
+   antithetic pairs.
+2. *simulate*: C dT_m/dt = -L(p_m) T_m + g Ta + Q(p_m, T_m) + q_m exp(-(t - t_0) / 5400 s) over the
+   profile, q_m until the machine stops or starts. A sensor shows y_ms(t) = sum_i w_si T_mi(t - lag)
+   and rises by r_s = median_m y_ms - Ta.
+3. *deviate*: what no parameter vector can express. The state has just been observed, so x_0 = 0,
+   x_k = e_k x_k-1 + D (1 - e_k^2)^1/2 z_mk, e_k = exp(-(t_k - t_k-1) / tau), standard normal z:
+
+       y_ms += x_ms (1 + (c_s / 0.25 K)^2)^1/2 + 0.1 K z_ms
+       c_s^2 = (0.04 r_s ln(F / F_trained))^2 + (0.04 max(r_s, mean_s r_s) started)^2
+       T_mi += x_mi + max(mean_s r_s, 0) (1 - exp(-2 (t - t_0) / 5400 s))^1/2 (S z_m)_i
+       T_mi += 0.5 z (T_mj - T_mi) for a body i between joints and its neighbour j
+
+   D and tau are those of the model's errors, S is `twin_core.process_noise.hidden_spread`; ln and
+   started follow the profile with a lag.
+4. *add noise*: a reading is y_ms + (0.05^2 + 0.1^2 / 12)^1/2 K z_msk, white noise and resolution.
+5. *calibrate*: where sisters of this very machine went as far beyond what it was trained at, y and
+   noise spread about their median by what their bands needed. No general factor: one learned on
+   machines that share a load law would be knowledge of those machines
+   (`twin_core.forecasting.calibrated`). Then quantiles over the members.
+6. *label*: what must be said with it, such as the probability of a runaway.
+
+The numbers are those of the constants below and in `twin_core.process_noise`.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +38,8 @@ from twin_core.forecasting.calibrated import band_factor, spread_members, untrai
 from twin_core.forecasting.draws import paired_draws, standard_normals
 from twin_core.forecasting.heat_laws import law_verdicts
 from twin_core.forecasting.labels import doubtful_start, forecast_labels
-from twin_core.forecasting.limits import first_crossings
 from twin_core.forecasting.members import (
+    Members,
     beyond_load,
     draw_members,
     goes_on_as,
@@ -29,13 +47,15 @@ from twin_core.forecasting.members import (
     stands,
 )
 from twin_core.forecasting.paths import add_deviations, delayed, gather_members, shift_between
+from twin_core.forecasting.result import Forecast
 from twin_core.forecasting.runaway import (
     UPPER,
     difference_quantiles_k,
     ring_difference_k,
     runaway_probability,
 )
-from twin_core.forecasting.whole_run import whole_run_band, whole_run_factor
+from twin_core.forecasting.whole_run import whole_run_factor
+from twin_core.identification.family import BandFactor
 from twin_core.identification.posterior import Posterior
 from twin_core.kalman import DISTURBANCE_TIME_S
 from twin_core.machine_state import MachineState
@@ -50,7 +70,7 @@ from twin_core.process_noise import (
     joint_variance,
     known_within_k,
 )
-from twin_core.profiles import OperatingPoint
+from twin_core.profiles import Point
 from twin_core.scores import QUANTILE_LEVELS
 from twin_core.simulation import (
     OperatingProfile,
@@ -73,123 +93,6 @@ SENSOR_WHITE_K = 0.05
 SENSOR_RESOLUTION_K = 0.1
 # What a failed simulation counts as: over every limit, and finite, so that it can be drawn.
 _CEILING_C = 500.0
-_EARLIEST = 0.025
-
-
-@dataclass(frozen=True, slots=True)
-class Exceedance:
-    """How likely and when a limit is passed.
-
-    Attributes
-    ----------
-    probability
-        Share of the members that pass the limit within the span.
-    median_s
-        Time at which half of the members have passed it; None when fewer than half do.
-    earliest_s
-        Time at which 2.5 % of the members have passed it; None when fewer do.
-    """
-
-    probability: float
-    median_s: float | None
-    earliest_s: float | None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Forecast:
-    """An ensemble forecast.
-
-    Attributes
-    ----------
-    time_s
-        (n,) times of the rows, as in the profile.
-    names
-        Sensors, then nodes.
-    quantiles
-        (5, n, names) at 2.5, 25, 50, 75 and 97.5 %, degC: of what a sensor will read, of a node's
-        true temperature.
-    members_c
-        (members, n, sensors) readings of every member without their minute-to-minute noise.
-    sensors
-        Names of the members' last axis.
-    runaway_probability
-        That the machine runs away; see `twin_core.forecasting.runaway`.
-    labels
-        What must be said with this forecast; see `twin_core.forecasting.labels`.
-    whole_run_factor
-        (n, sensors) factors on the 95 % band of each moment with which 90 % of runs stay inside
-        with all of their readings; see `twin_core.forecasting.whole_run`.
-    runaway_share
-        Share of the members that run away: a sensor passes the temperature of the model's limits
-        (of a bearing 130 degC), or the simulation fails.
-    not_known
-        Nodes that no sensor shows well enough, by name: half the 95 % band, K, that they would have
-        if all sensors were known exactly, where it is widest.
-    """
-
-    time_s: FloatArray
-    names: tuple[str, ...]
-    quantiles: FloatArray
-    members_c: FloatArray
-    sensors: tuple[str, ...]
-    runaway_probability: float
-    labels: tuple[str, ...]
-    whole_run_factor: FloatArray
-    runaway_share: float = 0.0
-    not_known: Mapping[str, float] = field(default_factory=dict)
-
-    def quantile(self, name: str) -> FloatArray:
-        """Return the (5, n) quantiles of a sensor or node."""
-        return np.asarray(self.quantiles[:, :, self._index(self.names, name)])
-
-    def whole_run(self, name: str) -> FloatArray:
-        """Return the edges (2, n) of the band that 90 % of runs of a sensor stay inside wholly."""
-        factor = self.whole_run_factor[:, self._index(self.sensors, name)]
-        return whole_run_band(self.quantile(name), factor)
-
-    def exceedance(
-        self, name: str, limit_c: float, start_s: float = -np.inf, end_s: float = np.inf
-    ) -> Exceedance:
-        """Tell how likely and when a sensor reaches a limit between two times.
-
-        Crossing times are interpolated between rows; a member that is over the limit at the first
-        row of the span crosses it there.
-
-        Parameters
-        ----------
-        name
-            A sensor.
-        limit_c
-            The limit in degC.
-        start_s, end_s
-            The span, on the forecast's time axis, both inclusive.
-
-        Raises
-        ------
-        KeyError
-            If there is no such sensor.
-        ValueError
-            If no row lies in the span.
-        """
-        rows = np.flatnonzero((self.time_s >= start_s) & (self.time_s <= end_s))
-        if rows.size == 0:
-            raise ValueError(f"no row of the forecast lies between {start_s} and {end_s} s")
-        paths = self.members_c[:, rows, self._index(self.sensors, name)]
-        if np.max(paths) < limit_c:
-            return Exceedance(0.0, None, None)  # as of most machines: without a look at each member
-        times = np.sort(first_crossings(self.time_s[rows], paths, limit_c))
-        crossed = int(np.count_nonzero(np.isfinite(times)))
-        return Exceedance(
-            probability=crossed / times.size,
-            median_s=_time_of_share(times, 0.5),
-            earliest_s=_time_of_share(times, _EARLIEST),
-        )
-
-    @staticmethod
-    def _index(names: Sequence[str], name: str) -> int:
-        if name not in names:
-            raise KeyError(f"{name!r} is not in this forecast, expected one of {', '.join(names)}")
-        return names.index(name)
 
 
 def forecast(
@@ -203,136 +106,239 @@ def forecast(
 ) -> Forecast:
     """Forecast all sensors and nodes over a profile.
 
-    Parameters
-    ----------
-    model, posterior
-        What is known of the machine; they must belong together.
-    state
-        The machine now; the observer's ``state()``.
-    profile
-        n rows ahead; the first is now.
-    members
-        Even number of members; random numbers come in antithetic pairs, so that the ensemble's
-        centre is the posterior's.
-    seed
-        Same seed, same forecast.
-
-    Raises
-    ------
-    ValueError
-        If posterior and model do not belong together, or ``members`` is odd or below 2.
+    `profile` (n,) the first row is now; `members`: even number of members; random numbers come in
+    antithetic pairs, so that the ensemble's centre is the posterior's; `seed`: same seed, same
+    forecast. Raises `ValueError` if posterior and model do not belong together, or ``members`` is
+    odd or below 2.
     """
-    rng = np.random.default_rng(seed)
-    operating_point = state.operating_point
-    goes_on = operating_point is None or goes_on_as(operating_point, profile)
-    drawn = draw_members(model, posterior, state, members, rng, goes_on)
-    temperatures = member_paths(
-        model,
-        drawn.values,
-        hold_operating_point(profile),
-        drawn.start_c,
-        state.revolutions,
-        drawn.heat_w,
-    )
-    failed = ~np.all(np.isfinite(temperatures), axis=(1, 2))
-    temperatures[failed] = _CEILING_C
-    sensors = model.sensor_names
-    readings = delayed(
-        temperatures @ model.sensor_matrix(sensors).T, profile.time_s, posterior.sensor_lag_s
-    )
-    rise_c = np.median(readings, axis=0) - profile.ambient_c[:, None]
-    # The deviation follows the load within the time that it takes to build up.
-    beyond = _following(
-        beyond_load(profile.load_n, posterior.known_load_n),
-        profile.time_s,
-        model.errors.slow_s,
-    )
-    beyond += _beyond_drives(model, profile, posterior.trained.drives)
-    started = _started(profile, operating_point)
-    passed_on_c = np.maximum(rise_c, np.mean(rise_c, axis=1, keepdims=True))
-    change_k = np.hypot(
-        LOAD_DEVIATION * beyond[:, None] * rise_c, START_DEVIATION * started[:, None] * passed_on_c
-    )
-    keep = np.exp(-np.diff(profile.time_s) / model.errors.slow_s)
-    shock = DEVIATION_K * model.errors.scale * np.sqrt(1.0 - keep**2)
-    add_deviations(
-        readings,
-        standard_normals(rng, (members // 2, keep.size, len(sensors))),
-        keep,
-        shock,
-        np.hypot(1.0, change_k / DEVIATION_K),
-        SENSOR_OFFSET_K * paired_draws(rng, members, (len(sensors),)),
-        np.ones(profile.size),
-    )
-    normal = standard_normals(rng, (members // 2, keep.size, temperatures.shape[2]))
-    # What a sensor of the same name will read stands for the node as well.
-    others = [k for k, name in enumerate(model.node_names) if name not in sensors]
-    spread = hidden_spread(model, drawn.best)
-    hidden = paired_draws(rng, members, (temperatures.shape[2],)) @ spread.T
-    growth = _hidden_growth(profile.time_s, np.mean(rise_c, axis=1))
-    nodes, even = temperatures, np.ones(temperatures.shape[1:])
-    add_deviations(nodes, normal, keep, shock, even, hidden, growth)
-    noise_k = np.hypot(SENSOR_WHITE_K, SENSOR_RESOLUTION_K / np.sqrt(12.0))
-    runaway = failed | np.any(readings > model.lost_c, axis=(1, 2))
+    drawn = _draw(model, posterior, state, profile, members, np.random.default_rng(seed))
+    paths = _simulate(model, posterior, state, profile, drawn.members)
+    _deviate(model, posterior, state, profile, drawn, paths)
+    runaway = paths.failed | np.any(paths.readings_c > model.lost_c, axis=(1, 2))
     # Before what sisters' bands have needed: that they stayed cool excludes no runaway.
-    between_rings_k = np.max(ring_difference_k(sensors, readings), axis=1)
+    between_rings_k = np.max(ring_difference_k(model.sensor_names, paths.readings_c), axis=1)
     _, difference_k = difference_quantiles_k(between_rings_k, runaway)
-    noise = noise_k * standard_normals(rng, readings.shape)
+    noise_k = _add_noise(drawn)
     factor = band_factor(posterior, profile)
-    untrained = untrained_rows(profile, posterior.trained)
-    hottest_c = -np.inf
-    if factor is not None:
-        hottest_c = float(np.max(np.quantile(readings, UPPER, axis=0)))
-        noise *= spread_members(readings, sensors, factor, untrained)
-    noisy = readings + noise
-    pairs = between_joints(model)
-    joints = JOINT_ERROR * paired_draws(rng, members, pairs[0].shape)
-    shift_between(nodes, *pairs, joints)
-    # In the order in which they are sorted: row, name, member.
-    ordered = np.empty((profile.size, len(sensors) + len(others), members))
-    gather_members(noisy, np.arange(len(sensors)), ordered[:, : len(sensors)])
-    gather_members(nodes, np.array(others, np.int64), ordered[:, len(sensors) :])
-    quantiles = _quantiles(ordered)
-    whole_run = np.broadcast_to(
-        whole_run_factor(noisy, ordered[:, : len(sensors)]), readings.shape[1:]
-    )
-    if factor is not None:
-        whole_run = whole_run * factor.of_whole_run(sensors, untrained)
+    bands = _calibrate(model, posterior, profile, paths, noise_k, factor)
     share = float(np.mean(runaway))
-    hottest_c = max(hottest_c, float(np.max(quantiles[-1, :, : len(sensors)])))
     probability = float(runaway_probability(posterior, difference_k, share, model.runaway))
-    names = (*sensors, *(model.node_names[k] for k in others))
-    doubts: tuple[str, ...] = ()
-    if state.course_known < 1.0:
-        doubts = doubtful_start(names, quantiles[:, 0], model.errors.scale)
+    own = [bands.names.index(name) for name in model.node_names]
+    hidden_k = np.linalg.norm(drawn.hidden, axis=1) * np.maximum(paths.mean_rise_c, 0.0)[:, None]
     return Forecast(
         time_s=profile.time_s,
-        names=names,
-        quantiles=quantiles,
-        members_c=readings,
-        sensors=sensors,
+        names=bands.names,
+        quantiles=bands.quantiles_c,
+        members_c=paths.readings_c,
+        sensors=model.sensor_names,
         runaway_share=share,
         not_known=_not_known(
             model,
-            [model.node_names[k] for k in others],
-            quantiles[2][:, [names.index(name) for name in model.node_names]],
+            bands.names[len(model.sensor_names) :],
+            bands.quantiles_c[2][:, own],
             state,
-            np.linalg.norm(spread, axis=1) * np.maximum(np.mean(rise_c, axis=1), 0.0)[:, None],
+            hidden_k,
         ),
         runaway_probability=probability,
-        labels=forecast_labels(
-            posterior,
-            profile,
-            hottest_c,
-            probability,
-            law_verdicts(model, posterior, profile),
-            model.runaway,
-            model.input_names,
-        )
-        + (() if factor is None else (factor.label,))
-        + doubts,
-        whole_run_factor=whole_run,
+        labels=_label(model, posterior, state, profile, bands, probability, factor),
+        whole_run_factor=bands.whole_run_factor,
     )
+
+
+class _Draws(NamedTuple):
+    """All that is random in a forecast; standard normal but for `members`.
+
+    (members / 2, n - 1, sensors or nodes): `sensor_shocks`, `node_shocks`. (members, sensors or
+    nodes): `offsets`, `lasting`, of which `hidden` (nodes, ...) is the spread. `noise` (members, n,
+    sensors). `pairs` are bodies between joints and their neighbours, `joints` (members, pairs).
+    """
+
+    members: Members
+    sensor_shocks: FloatArray
+    offsets: FloatArray
+    node_shocks: FloatArray
+    hidden: FloatArray
+    lasting: FloatArray
+    noise: FloatArray
+    pairs: tuple[NDArray[np.int64], NDArray[np.int64]]
+    joints: FloatArray
+
+
+class _Paths(NamedTuple):
+    """What the members do."""
+
+    #: (members, n, nodes) and (members, n, sensors).
+    nodes_c: FloatArray
+    readings_c: FloatArray
+    rise_c: FloatArray  # (n, sensors) rises over ambient of their median
+    failed: NDArray[np.bool_]  # (members,) that have run away out of the model's range
+
+    @property
+    def mean_rise_c(self) -> FloatArray:
+        """Mean of the sensors' rises over ambient, (n,)."""
+        return np.asarray(np.mean(self.rise_c, axis=1))
+
+
+class _Bands(NamedTuple):
+    """Quantiles (5, n, names) of sensors, then nodes; hottest upper edge of any sensor."""
+
+    names: tuple[str, ...]
+    quantiles_c: FloatArray
+    whole_run_factor: FloatArray
+    hottest_c: float
+
+
+def _draw(
+    model: ThermalModel,
+    posterior: Posterior,
+    state: MachineState,
+    profile: OperatingProfile,
+    count: int,
+    rng: np.random.Generator,
+) -> _Draws:
+    """Step 1; the order of the draws is part of what a seed means."""
+    point = state.operating_point
+    goes_on = point is None or goes_on_as(point, profile)
+    sensors, nodes, steps = len(model.sensor_names), len(model.node_names), profile.size - 1
+    members = draw_members(model, posterior, state, count, rng, goes_on)
+    pairs = between_joints(model)
+    return _Draws(
+        members,
+        sensor_shocks=standard_normals(rng, (count // 2, steps, sensors)),
+        offsets=paired_draws(rng, count, (sensors,)),
+        node_shocks=standard_normals(rng, (count // 2, steps, nodes)),
+        hidden=hidden_spread(model, members.best),
+        lasting=paired_draws(rng, count, (nodes,)),
+        noise=standard_normals(rng, (count, profile.size, sensors)),
+        pairs=pairs,
+        joints=paired_draws(rng, count, pairs[0].shape),
+    )
+
+
+def _simulate(
+    model: ThermalModel,
+    posterior: Posterior,
+    state: MachineState,
+    profile: OperatingProfile,
+    members: Members,
+) -> _Paths:
+    """Step 2."""
+    nodes_c = member_paths(
+        model,
+        members.values,
+        hold_operating_point(profile),
+        members.start_c,
+        state.revolutions,
+        members.heat_w,
+    )
+    failed = ~np.all(np.isfinite(nodes_c), axis=(1, 2))
+    nodes_c[failed] = _CEILING_C
+    shown_c = nodes_c @ model.sensor_matrix(model.sensor_names).T
+    readings_c = delayed(shown_c, profile.time_s, posterior.sensor_lag_s)
+    rise_c = np.median(readings_c, axis=0) - profile.ambient_c[:, None]
+    return _Paths(nodes_c, readings_c, rise_c, failed)
+
+
+def _deviate(
+    model: ThermalModel,
+    posterior: Posterior,
+    state: MachineState,
+    profile: OperatingProfile,
+    drawn: _Draws,
+    paths: _Paths,
+) -> None:
+    """Step 3; changes the paths."""
+    slow_s, rise_c = model.errors.slow_s, paths.rise_c
+    # The deviation follows the load within the time that it takes to build up.
+    beyond = _following(beyond_load(profile.load_n, posterior.known_load_n), profile.time_s, slow_s)
+    beyond += _beyond_drives(model, profile, posterior.trained.drives)
+    started = _started(profile, state.operating_point)
+    passed_on_c = np.maximum(rise_c, paths.mean_rise_c[:, None])
+    change_k = np.hypot(
+        LOAD_DEVIATION * beyond[:, None] * rise_c, START_DEVIATION * started[:, None] * passed_on_c
+    )
+    keep = np.exp(-np.diff(profile.time_s) / slow_s)
+    shock = DEVIATION_K * model.errors.scale * np.sqrt(1.0 - keep**2)
+    add_deviations(
+        paths.readings_c,
+        drawn.sensor_shocks,
+        keep,
+        shock,
+        np.hypot(1.0, change_k / DEVIATION_K),
+        SENSOR_OFFSET_K * drawn.offsets,
+        np.ones(profile.size),
+    )
+    add_deviations(
+        paths.nodes_c,
+        drawn.node_shocks,
+        keep,
+        shock,
+        np.ones(paths.nodes_c.shape[1:]),
+        drawn.lasting @ drawn.hidden.T,
+        _hidden_growth(profile.time_s, paths.mean_rise_c),
+    )
+    shift_between(paths.nodes_c, *drawn.pairs, JOINT_ERROR * drawn.joints)
+
+
+def _add_noise(drawn: _Draws) -> FloatArray:
+    """Step 4: what a reading has beyond a path, (members, n, sensors) in K."""
+    return np.asarray(np.hypot(SENSOR_WHITE_K, SENSOR_RESOLUTION_K / np.sqrt(12.0)) * drawn.noise)
+
+
+def _calibrate(
+    model: ThermalModel,
+    posterior: Posterior,
+    profile: OperatingProfile,
+    paths: _Paths,
+    noise_k: FloatArray,
+    factor: BandFactor | None,
+) -> _Bands:
+    """Step 5; changes readings and noise by the factor, if there is one."""
+    sensors = model.sensor_names
+    untrained = untrained_rows(profile, posterior.trained)
+    hottest_c = -np.inf
+    if factor is not None:
+        hottest_c = float(np.max(np.quantile(paths.readings_c, UPPER, axis=0)))
+        noise_k *= spread_members(paths.readings_c, sensors, factor, untrained)
+    noisy = paths.readings_c + noise_k
+    # What a sensor of the same name will read stands for the node as well.
+    others = [k for k, name in enumerate(model.node_names) if name not in sensors]
+    # In the order in which they are sorted: row, name, member.
+    ordered = np.empty((profile.size, len(sensors) + len(others), len(noisy)))
+    gather_members(noisy, np.arange(len(sensors)), ordered[:, : len(sensors)])
+    gather_members(paths.nodes_c, np.array(others, np.int64), ordered[:, len(sensors) :])
+    quantiles = _quantiles(ordered)
+    of_members = whole_run_factor(noisy, ordered[:, : len(sensors)])
+    whole_run = np.broadcast_to(of_members, noisy.shape[1:])
+    if factor is not None:
+        whole_run = whole_run * factor.of_whole_run(sensors, untrained)
+    return _Bands(
+        (*sensors, *(model.node_names[k] for k in others)),
+        quantiles,
+        whole_run,
+        max(hottest_c, float(np.max(quantiles[-1, :, : len(sensors)]))),
+    )
+
+
+def _label(
+    model: ThermalModel,
+    posterior: Posterior,
+    state: MachineState,
+    profile: OperatingProfile,
+    bands: _Bands,
+    runaway: float,
+    factor: BandFactor | None,
+) -> tuple[str, ...]:
+    """Step 6."""
+    laws = law_verdicts(model, posterior, profile)
+    labels = forecast_labels(
+        posterior, profile, bands.hottest_c, runaway, laws, model.runaway, model.input_names
+    )
+    if factor is not None:
+        labels += (factor.label,)
+    if state.course_known < 1.0:
+        labels += doubtful_start(bands.names, bands.quantiles_c[:, 0], model.errors.scale)
+    return labels
 
 
 def _beyond_drives(
@@ -346,7 +352,7 @@ def _beyond_drives(
     return _following(beyond, profile.time_s, model.errors.slow_s)
 
 
-def _started(profile: OperatingProfile, operating_point: OperatingPoint | None) -> FloatArray:
+def _started(profile: OperatingProfile, operating_point: Point | None) -> FloatArray:
     """Zero until the machine starts out of a standstill, then towards one, (n,).
 
     A machine that was not followed is taken to do what it did in its data.
@@ -404,10 +410,3 @@ def _quantiles(values: FloatArray) -> FloatArray:
     above = np.minimum(below + 1, ordered.shape[-1] - 1)
     quantiles = (1.0 - weight) * ordered[..., below] + weight * ordered[..., above]
     return np.ascontiguousarray(quantiles.transpose(2, 0, 1))
-
-
-def _time_of_share(ordered_times: FloatArray, share: float) -> float | None:
-    """Time at which a share of the members has crossed; None when fewer do."""
-    needed = max(int(np.ceil(share * ordered_times.size)), 1)
-    time = float(ordered_times[needed - 1])
-    return time if np.isfinite(time) else None

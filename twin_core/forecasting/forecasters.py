@@ -2,18 +2,18 @@
 
 A method is fitted to windows of measured rows (`Fit`) and then forecasts what the sensors will
 read over a profile, from what they read at its first row (`Forecaster`). The naive forecasts and
-the surrogates are of this form; `of_ensemble` brings the twin's forecast into it.
+others may be of this form; `of_ensemble` brings the twin's forecast into it.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from statistics import NormalDist
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri
 
-from twin_core.forecasting.ensemble import Forecast
+from twin_core.forecasting.result import Forecast
 from twin_core.naive import NAIVE_KINDS, fit_naive
 from twin_core.scores import QUANTILE_LEVELS
 from twin_core.simulation.profile import OperatingProfile
@@ -26,23 +26,12 @@ _MEDIAN = QUANTILE_LEVELS.index(0.5)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SensorForecast:
-    """What the sensors will read.
+    """What the sensors will read."""
 
-    Attributes
-    ----------
-    time_s
-        (n,) times of the profile's rows.
-    sensors
-        Names, s of them.
-    centre_c
-        (n, s) in degC: median where there is a band, else the forecast itself.
-    quantiles_c
-        (5, n, s) at `QUANTILE_LEVELS`, degC; None for a method that does not tell how sure it is.
-    """
-
-    time_s: FloatArray
+    time_s: FloatArray  # (n,) times of the profile's rows
     sensors: tuple[str, ...]
-    centre_c: FloatArray
+    centre_c: FloatArray  # (n, s) in degC: median where there is a band, else the forecast itself
+    #: (5, n, s) at `QUANTILE_LEVELS`, degC; None for a method that does not say how sure it is.
     quantiles_c: FloatArray | None = None
 
     def centre(self, name: str) -> FloatArray:
@@ -72,7 +61,7 @@ def with_normal_band(
     time_s: FloatArray, sensors: tuple[str, ...], centre_c: FloatArray, deviation_k: FloatArray
 ) -> SensorForecast:
     """Make a forecast whose errors are normal with standard deviations (n, s) in K."""
-    steps = ndtri(np.array(QUANTILE_LEVELS))
+    steps = np.array([NormalDist().inv_cdf(level) for level in QUANTILE_LEVELS])
     return SensorForecast(
         time_s, sensors, centre_c, centre_c + steps[:, None, None] * deviation_k[None]
     )

@@ -64,18 +64,8 @@ def growth_ratio(
 ) -> float | None:
     """Posterior over prior standard deviation of the growth of the heat.
 
-    Parameters
-    ----------
-    model, posterior
-        They must belong together.
-    trained, ahead
-        Speed in rpm and load in N.
-
-    Returns
-    -------
-    float or None
-        None where there is nothing to know: the network states the law and nothing of it is
-        identified, or its heat does not change at all.
+    `trained`, `ahead`: speed in rpm and load in N. Returns None where there is nothing to know: the
+    network states the law and nothing of it is identified, or its heat does not change at all.
     """
     parameters = model.parameters
     low = np.maximum(posterior.z - _STEP_Z, parameters.z_lower)
@@ -101,12 +91,7 @@ def heat_growth(
 ) -> float:
     """Logarithm of the heat ahead over the trained one, everything as warm as a warm bearing.
 
-    Parameters
-    ----------
-    model, z
-        The model and its standard coordinates (p,).
-    trained, ahead
-        Speed in rpm and load in N.
+    `z` (p,) standard coordinates; `trained`, `ahead`: speed in rpm and load in N.
     """
     values = model.parameters.values_from_z(z)
     warm = np.full(len(model.node_names), _WARM_C)

@@ -9,20 +9,12 @@ FloatArray = NDArray[np.float64]
 
 
 class LimitCheck(NamedTuple):
-    """Paths of some names compared with the levels of their limits.
+    """Paths of some names compared with the levels of their limits; NaN where a path is not known.
 
-    Attributes
-    ----------
-    highest_c, highest_s
-        (..., names) highest temperature of a path, and the time at which it has it.
-    margin_k
-        (..., names, levels) limit minus highest temperature, negative where the limit is exceeded;
-        infinite where there is no limit.
-    time_s
-        (..., names, levels) time at which the path first reaches the limit, interpolated between
-        rows; infinite if it does not.
-
-    NaN where the path is not known.
+    `highest_c`, `highest_s` (..., names): highest temperature of a path and when it has it.
+    `margin_k` (..., names, levels): limit minus highest temperature, negative where it is exceeded,
+    infinite where there is no limit. `time_s` (..., names, levels): when the path first reaches the
+    limit, interpolated between rows; infinite if it does not.
     """
 
     highest_c: FloatArray
@@ -31,12 +23,9 @@ class LimitCheck(NamedTuple):
     time_s: FloatArray
 
     def near(self, band_k: ArrayLike) -> NDArray[np.bool_]:
-        """Whether a limit is nearer than a band, (...); also where the path is not known.
+        """Whether a limit is nearer than a band in K, (...); also where the path is not known.
 
-        Parameters
-        ----------
-        band_k
-            In K, any shape that goes with (..., names, levels).
+        `band_k` has any shape that goes with (..., names, levels).
         """
         clear = (self.margin_k > np.asarray(band_k)) | (self.margin_k == np.inf)
         return np.asarray(~clear.all(axis=(-2, -1)))
@@ -45,15 +34,9 @@ class LimitCheck(NamedTuple):
 def check_limits(time_s: ArrayLike, paths_c: ArrayLike, limits_c: ArrayLike) -> LimitCheck:
     """Compare paths with limits: how near they come, and when they reach them.
 
-    Parameters
-    ----------
-    time_s
-        (n,) times of the rows, or (..., n) each path's own.
-    paths_c
-        (..., n, names) in degC. Rows behind the end of a path are NaN; a path that is NaN in its
-        first row is not known.
-    limits_c
-        (names, levels) or (..., names, levels) in degC; infinite where there is none.
+    `time_s` (n,) times of the rows, or (..., n) each path's own. `paths_c` (..., n, names) in degC.
+    Rows behind the end of a path are NaN; a path that is NaN in its first row is not known;
+    `limits_c` (names, levels) or (..., names, levels) in degC; infinite where there is none.
     """
     paths = np.moveaxis(np.asarray(paths_c, np.float64), -2, -1)
     times = np.broadcast_to(np.asarray(time_s, np.float64)[..., np.newaxis, :], paths.shape)
@@ -78,12 +61,8 @@ def first_crossings(time_s: ArrayLike, paths_c: ArrayLike, limit_c: ArrayLike) -
 
     Interpolated between rows; a path that is over the limit at its first row crosses it there.
 
-    Parameters
-    ----------
-    time_s, paths_c
-        (..., n) times of the rows and temperatures in degC; a row of NaN is not over any limit.
-    limit_c
-        (...) in degC.
+    `time_s`, `paths_c` (..., n) times of the rows and temperatures in degC; a row of NaN is not
+    over any limit; `limit_c` (...) in degC.
     """
     limit = np.asarray(limit_c, np.float64)
     over = np.asarray(paths_c) >= limit[..., np.newaxis]

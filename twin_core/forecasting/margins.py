@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from twin_core.forecasting.envelope import Envelope, envelope
-from twin_core.forecasting.runaway import LIKELY, RunawayMargin, newtons_left
+from twin_core.forecasting.runaway import LIKELY, RunawayDistance, newtons_left
 from twin_core.identification.posterior import Posterior
 from twin_core.machine_state import MachineState
 from twin_core.models import ThermalModel
@@ -22,23 +22,12 @@ def runaway_margin(
     state: MachineState,
     speed_rpm: float,
     load_n: float,
-) -> RunawayMargin:
-    """Tell how far a machine is from a thermal runaway at one operating point, held for hours.
+) -> RunawayDistance:
+    """Return how far a machine is from a thermal runaway at one operating point, held for hours.
 
     For the margin in newtons loads from half to twice that of the point are looked at, no more of
-    them than a search for the load needs.
-
-    Parameters
-    ----------
-    model, posterior, state
-        As for `twin_core.forecasting.envelope.envelope`.
-    speed_rpm, load_n
-        The operating point; not negative, the load above 0.
-
-    Raises
-    ------
-    ValueError
-        As `twin_core.forecasting.envelope.envelope`.
+    them than a search for the load needs. Speed not negative, load above 0; raises as
+    `twin_core.forecasting.envelope.envelope`.
     """
     loads = load_n * _LOADS
 
@@ -57,7 +46,7 @@ def runaway_margin(
         low, high = (low, middle) if probability[middle] >= LIKELY else (middle, high)
     rows = sorted(probability)
     left_n = newtons_left(loads[rows], np.array([[probability[row]] for row in rows]))
-    return RunawayMargin(
+    return RunawayDistance(
         speed_rpm=speed_rpm,
         load_n=load_n,
         probability=probability[_HERE],
@@ -70,17 +59,11 @@ def runaway_margin(
 
 def heaviest_margin(
     model: ThermalModel, posterior: Posterior, state: MachineState, profile: OperatingProfile
-) -> RunawayMargin | None:
-    """Tell the margin where speed times load of a profile is highest, held for hours.
+) -> RunawayDistance | None:
+    """Return the margin where speed times load of a profile is highest, held for hours.
 
-    None for a machine without limits of a runaway, and where it only stands or runs without load.
-
-    Parameters
-    ----------
-    model, posterior, state
-        As for `runaway_margin`; ambient temperature and inputs are those of the row.
-    profile
-        What lies ahead.
+    Ambient temperature and inputs are those of that row. None for a machine without limits of a
+    runaway, and where it only stands or runs without load.
     """
     power = np.abs(profile.speed_rpm) * profile.load_n
     row = int(np.argmax(power))

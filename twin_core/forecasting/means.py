@@ -39,46 +39,25 @@ _TOGETHER = 64
 
 
 class MeanStart(NamedTuple):
-    """Where the mean forecasts of machines begin.
+    """Where the mean forecasts of machines begin."""
 
-    Attributes
-    ----------
-    values
-        (machines, p) best parameters, physical units.
-    temperatures_c, heat_disturbance_w
-        (machines, nodes) see `twin_core.machine_state.MachineState`.
-    revolutions
-        (machines,) since the grease was fresh.
-    speed_rpm
-        (machines,) what each ran at up to now; NaN for a machine that has not been followed.
-    sensor_lag_s
-        (machines,) lag of the sensors.
-    """
-
-    values: FloatArray
+    values: FloatArray  # (machines, p) best parameters, physical units
+    #: (machines, nodes) see `twin_core.machine_state.MachineState`.
     temperatures_c: FloatArray
     heat_disturbance_w: FloatArray
-    revolutions: FloatArray
+    revolutions: FloatArray  # (machines,) since the grease was fresh
+    #: (machines,) what each ran at up to now; NaN for a machine that has not been followed.
     speed_rpm: FloatArray
-    sensor_lag_s: FloatArray
+    sensor_lag_s: FloatArray  # (machines,) lag of the sensors
 
 
 class MeanForecasts(NamedTuple):
-    """Mean forecasts of machines.
+    """Mean forecasts of machines."""
 
-    Attributes
-    ----------
-    names
-        Sensors and nodes.
-    time_s
-        (machines, n) times of the rows.
-    readings_c
-        (machines, n, names) what the sensors will read, and the nodes' temperatures, in degC. NaN
-        throughout where there is no forecast, and behind the last row of a shorter profile.
-    """
-
-    names: tuple[str, ...]
-    time_s: FloatArray
+    names: tuple[str, ...]  # sensors and nodes
+    time_s: FloatArray  # (machines, n) times of the rows
+    #: (machines, n, names) what the sensors will read, and the nodes' temperatures, in degC. NaN
+    #: throughout where there is no forecast, and behind the last row of a shorter profile.
     readings_c: FloatArray
 
 
@@ -87,14 +66,8 @@ def start_of(
 ) -> MeanStart:
     """Gather where mean forecasts begin.
 
-    Parameters
-    ----------
-    values
-        (machines, p) best parameters: those at the posteriors' centres.
-    sensor_lag_s
-        (machines,) the posteriors' lags.
-    states
-        The machines now.
+    `values` (machines, p) best parameters: those at the posteriors' centres; `sensor_lag_s`
+    (machines,) the posteriors' lags.
     """
     temperatures_c = np.stack([state.temperatures_c for state in states])
     heat_w = np.zeros(temperatures_c.shape)
@@ -126,22 +99,9 @@ def mean_forecasts(
     state, see `twin_core.forecasting.members.member_paths`. Measured profiles should go through
     `twin_core.simulation.hold_operating_point` first, as an ensemble's do.
 
-    Parameters
-    ----------
-    model
-        The model; its values are those of no machine.
-    start
-        Where the machines begin.
-    ahead
-        What lies ahead; the first row is now.
-    names
-        Sensors and nodes that are forecast; by default the model's sensors. A node's own
-        temperature has no lag.
-
-    Raises
-    ------
-    ValueError
-        If a shape is wrong or a name unknown.
+    `model`: its values are those of no machine; `ahead`: the first row is now. `names`: sensors and
+    nodes that are forecast; by default the model's sensors. A node's own temperature has no lag.
+    Raises `ValueError` if a shape is wrong or a name unknown.
     """
     chosen = model.sensor_names if names is None else tuple(names)
     weights = model.sensor_matrix(chosen).T

@@ -12,7 +12,7 @@ from twin_core.kalman import DISTURBANCE_TIME_S
 from twin_core.machine_state import MachineState
 from twin_core.models import ThermalModel
 from twin_core.operating_points import STANDING_RPM
-from twin_core.profiles import OperatingPoint
+from twin_core.profiles import Point
 from twin_core.simulation import (
     OperatingProfile,
     OperatingProfiles,
@@ -29,27 +29,18 @@ def stands(profile: OperatingProfile) -> NDArray[np.bool_]:
     return np.asarray(np.abs(profile.speed_rpm) < STANDING_RPM)
 
 
-def goes_on_as(operating_point: OperatingPoint, profile: OperatingProfile) -> bool:
+def goes_on_as(operating_point: Point, profile: OperatingProfile) -> bool:
     """Whether the machine goes on running, or standing, as up to now."""
     return bool(stands(profile)[0] == (abs(operating_point.speed_rpm) < STANDING_RPM))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Members:
-    """An ensemble at its start.
+    """An ensemble at its start."""
 
-    Attributes
-    ----------
-    best
-        (p,) the best parameters.
-    values
-        (members, p) parameters of the members.
-    start_c, heat_w
-        (members, nodes) temperatures in degC, and heats in W beyond the members' models.
-    """
-
-    best: FloatArray
-    values: FloatArray
+    best: FloatArray  # (p,) the best parameters
+    values: FloatArray  # (members, p) parameters of the members
+    #: (members, nodes) temperatures in degC, and heats in W beyond the members' models.
     start_c: FloatArray
     heat_w: FloatArray
 
@@ -64,24 +55,11 @@ def draw_members(
 ) -> Members:
     """Draw parameters and states, and set every member on the observed course.
 
-    Parameters
-    ----------
-    model, posterior
-        What is known of the machine; they must belong together.
-    state
-        The machine now.
-    count
-        Even number of members; random numbers come in antithetic pairs.
-    rng
-        Gives the random numbers.
-    goes_on
-        Whether the machine goes on as up to now. Without it there are no heats: what is wrong is
-        mostly friction.
+    `count` is even: random numbers come in antithetic pairs. Unless the machine `goes_on` as up to
+    now there are no heats: what is wrong is mostly friction.
 
-    Raises
-    ------
-    ValueError
-        If posterior and model do not belong together, or ``count`` is odd or below 2.
+    Raises `ValueError` if posterior and model do not belong together, or ``count`` is odd or below
+    2.
     """
     posterior.check(model)
     if count < 2 or count % 2:
@@ -130,16 +108,9 @@ def member_paths(
     The heats fade, and end when the machine stops or starts: what is wrong is mostly friction. NaN
     throughout where a member runs away.
 
-    Parameters
-    ----------
-    model, values
-        The model and the members' parameters (members, p).
-    ahead
-        n rows for all, or each member's own.
-    start_c, heat_w
-        (members, nodes) temperatures in degC and heats in W at the first row.
-    revolutions
-        Revolutions since the grease was fresh, for all or (members,).
+    `values` (members, p) the members' parameters; `ahead`: n rows for all, or each member's own;
+    `start_c`, `heat_w` (members, nodes) temperatures in degC and heats in W at the first row;
+    `revolutions` since the grease was fresh, for all or (members,).
     """
     standing = np.abs(ahead.speed_rpm) < STANDING_RPM
     changed = standing != standing[..., :1]
@@ -162,7 +133,7 @@ def imbalance_w(
     state_c: FloatArray,
     values: FloatArray,
     start_c: FloatArray,
-    operating_point: OperatingPoint,
+    operating_point: Point,
     revolutions: float,
 ) -> FloatArray:
     """Heats (members, nodes) that set each member, in its own start, on the observed course.

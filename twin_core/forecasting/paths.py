@@ -118,14 +118,7 @@ def gather_members(paths: FloatArray, columns: NDArray[np.int64], out: FloatArra
 def delayed(paths: FloatArray, time_s: FloatArray, lag_s: ArrayLike) -> FloatArray:
     """Paths (members, n, k) as lagging sensors show them.
 
-    Parameters
-    ----------
-    paths
-        As they are.
-    time_s
-        (n,) times of the rows, or (members, n) each path's own.
-    lag_s
-        The lag, or (members,) each path's own.
+    `time_s` (n,) of the rows, or (members, n) each path's own; `lag_s` for all, or (members,).
     """
     out = np.empty(paths.shape)
     lags = kernel_array(np.broadcast_to(np.asarray(lag_s, np.float64), paths.shape[:1]))

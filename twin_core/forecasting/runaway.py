@@ -6,7 +6,7 @@ rings' growth and the thinner oil make of the friction is in the identified law,
 an ensemble has a gain. But on the way to a real runaway the clearance is used up, the preload
 stiffens and the gain grows, which no low-risk data show. What takes up the clearance is known: the
 inner ring that is hotter than the outer one. The probability is therefore a logistic of the
-clearance that their difference takes up; gain and hottest sensor told no more beside it.
+clearance that their difference takes up; gain and hottest sensor added nothing to it.
 """
 
 from collections.abc import Sequence
@@ -14,7 +14,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import expit, logit
 
 from twin_core.identification.posterior import Posterior
 from twin_core.network_model import RunawayLimits
@@ -27,46 +26,32 @@ UPPER = 0.975
 DIFFERENCE = 0.8
 """Quantile of the members' difference between the rings that the probability follows from."""
 # Fitted to 1131 runs of virtual benches, three families and two bearings, trained under one load or
-# three (these count four times); 53 ran away. Tested on others, see docs/model.md.
+# three (these count four times); 53 ran away. Tested on others, see docs/trust/model.md.
 _OFFSET, _BY_CLEARANCE_PER_UM, _USED_UP_UM = -9.8, 0.164, 60.0
 _INNER, _OUTER = "t_inner_ring_c", "t_outer_ring_c"
 _BELOW_SAFE = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
-class RunawayMargin:
-    """How far a machine is from a thermal runaway at an operating point.
-
-    Attributes
-    ----------
-    speed_rpm, load_n
-        The operating point.
-    probability
-        That the machine runs away there.
-    loop_gain, loop_gain_upper
-        Median and 97.5 % of the members' loop gain; infinite where so many run away.
-    margin_k
-        How much hotter the hottest sensor may become until the gain is 1 or the sensor is beyond
-        the model's limit: 95 % of the members have more. Infinite where there is no limit.
-    margin_n
-        How much more load it takes until the probability is 5 %, negative beyond; NaN where none of
-        the loads that were looked at is as bad.
-    """
+class RunawayDistance:
+    """How far a machine is from a thermal runaway at an operating point."""
 
     speed_rpm: float
     load_n: float
-    probability: float
+    probability: float  # that the machine runs away there
+    #: Median and 97.5 % of the members' loop gain; infinite where so many run away.
     loop_gain: float
     loop_gain_upper: float
+    #: How much hotter the hottest sensor may become until the gain is 1 or the sensor is beyond the
+    #: model's limit: 95 % of the members have more. Infinite where there is no limit.
     margin_k: float
+    #: How much more load it takes until the probability is 5 %, negative beyond; NaN where none of
+    #: the loads that were looked at is as bad.
     margin_n: float
 
 
 def ring_difference_k(sensors: Sequence[str], readings_c: FloatArray) -> FloatArray:
-    """How much hotter the inner ring is than the outer one (...), of readings (..., sensors).
-
-    Zero where the model does not tell both rings.
-    """
+    """Inner ring minus outer one (...), of readings (..., sensors); 0 without both."""
     if not {_INNER, _OUTER} <= set(sensors):
         return np.zeros(readings_c.shape[:-1])
     inner, outer = sensors.index(_INNER), sensors.index(_OUTER)
@@ -90,22 +75,21 @@ def runaway_probability(
 ) -> FloatArray:
     """Probability of a thermal runaway.
 
-    Parameters
-    ----------
-    posterior
-        What the forecast rests on.
-    difference_k, share
-        80 % of the members' difference between the rings in K, and share of the members that run
-        away; arrays of one shape, or scalars.
-    limits
-        The model's. Where they were not tested, and before any identification, the members' share
-        is all there is.
+    `difference_k`, `share`: 80 % of the members' difference between the rings in K, and share of
+    the members that run away; arrays of one shape, or scalars. `limits`: the model's. Where they
+    were not tested, and before any identification, the members' share is all there is.
     """
     if limits is None or not limits.tested or not posterior.identified:
         return np.asarray(share, np.float64)
     taken_up_um = limits.clearance_um_k * np.asarray(difference_k, np.float64)
     odds = _OFFSET + _BY_CLEARANCE_PER_UM * np.minimum(taken_up_um, _USED_UP_UM)
-    return np.asarray(expit(odds))
+    return 0.5 * (1.0 + np.tanh(0.5 * odds))
+
+
+def log_odds(probability: ArrayLike) -> FloatArray:
+    """Natural logarithm of the odds of a probability between 0 and 1."""
+    share = np.asarray(probability, np.float64)
+    return np.asarray(np.log(share / (1.0 - share)))
 
 
 def upper_gain(gain: FloatArray, away: NDArray[np.bool_]) -> FloatArray:
@@ -117,22 +101,13 @@ def upper_gain(gain: FloatArray, away: NDArray[np.bool_]) -> FloatArray:
 def newtons_left(load_n: FloatArray, probability: FloatArray) -> FloatArray:
     """How much more load, (loads, speeds) in N, until the probability reaches 5 %.
 
-    Parameters
-    ----------
-    load_n
-        (loads,) increasing.
-    probability
-        (loads, speeds) at these loads; in between its log odds are taken as straight.
-
-    Returns
-    -------
-    ndarray
-        Negative beyond that load; NaN where no load of these is as bad. Where the least load is as
-        bad already, it stands for the one that was looked for.
+    `load_n` (loads,) increasing; `probability` (loads, speeds) at these loads; in between its log
+    odds are taken as straight. Negative beyond that load; NaN where no load of these is as
+    bad. Where the least load is as bad already, it stands for the one that was looked for.
     """
     worst = np.maximum.accumulate(probability, axis=0)
-    odds = logit(np.clip(worst, _BELOW_SAFE, 1.0 - _BELOW_SAFE))
-    bar = float(logit(LIKELY))
+    odds = log_odds(np.clip(worst, _BELOW_SAFE, 1.0 - _BELOW_SAFE))
+    bar = float(log_odds(LIKELY))
     result = np.full(probability.shape, np.nan)
     for column, values in enumerate(odds.T):
         over = int(np.argmax(values >= bar))

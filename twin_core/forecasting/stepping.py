@@ -11,12 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin_core.forecasting.design import Level
 from twin_core.forecasting.envelope import envelope
 from twin_core.identification.posterior import Posterior
 from twin_core.machine_state import MachineState
 from twin_core.models import ThermalModel
 from twin_core.operating_points import NEW_SPEED, alike
+from twin_core.profiles import Step
 
 LARGEST_RATIO = 1.25
 STEADY_K = 0.2
@@ -34,52 +34,33 @@ RULES = (
 
 
 @dataclass(frozen=True, slots=True)
-class LoadStep:
-    """One level on the way to a high-risk point.
-
-    Attributes
-    ----------
-    speed_rpm, load_n
-        The level.
-    expected_c, stop_above_c
-        Per sensor, median and upper edge (97.5 %) of its steady reading.
-    runaway_not_excluded
-        Verdict for the level, from what is known now.
-    allowed
-        Whether the upper edge of every sensor stays below its limit, on this level and on all
-        before it.
-    reason
-        Why it is not allowed; empty when it is.
-    """
+class SteppingLevel:
+    """One level on the way to a high-risk point."""
 
     speed_rpm: float
     load_n: float
+    #: Per sensor, median and upper edge (97.5 %) of its steady reading.
     expected_c: Mapping[str, float]
     stop_above_c: Mapping[str, float]
-    runaway_not_excluded: bool
+    runaway_not_excluded: bool  # verdict for the level, from what is known now
+    #: Whether the upper edge of every sensor stays below its limit, on this level and on all before
+    #: it.
     allowed: bool
-    reason: str
+    reason: str  # why it is not allowed; empty when it is
 
 
 def stepping_plan(
     model: ThermalModel,
     posterior: Posterior,
     state: MachineState,
-    target: Level,
+    target: Step,
     limits: Mapping[str, float],
-) -> tuple[LoadStep, ...]:
+) -> tuple[SteppingLevel, ...]:
     """Levels from the data's heaviest point to the target: first the speed, then the load.
 
-    Parameters
-    ----------
-    model, posterior, state
-        What is known of the machine, identified from data.
-    target
-        Where to go.
-    limits
-        Temperatures in degC that no upper edge may reach, per sensor.
+    `limits` in degC: what no upper edge may reach, per sensor.
     """
-    steps: list[LoadStep] = []
+    steps: list[SteppingLevel] = []
     barred = ""
     for speed_rpm, load_n in levels_towards(posterior, target.speed_rpm, target.load_n):
         found = envelope(model, posterior, state, [speed_rpm], [load_n], {})
@@ -92,7 +73,7 @@ def stepping_plan(
                     f"{upper[name]:.0f} °C, its limit {limit_c:g} °C"
                 )
         steps.append(
-            LoadStep(
+            SteppingLevel(
                 speed_rpm,
                 load_n,
                 expected,

@@ -21,17 +21,9 @@ _LEAST_K = 1e-6
 def shares_of_band(quantiles_c: FloatArray, values_c: ArrayLike) -> FloatArray:
     """How far values lie from the median, as parts of the 95 % band's width on their side.
 
-    Parameters
-    ----------
-    quantiles_c
-        (5, ...) at `twin_core.scores.QUANTILE_LEVELS`.
-    values_c
-        Readings of the quantiles' last axes, or members of such in front of them.
-
-    Returns
-    -------
-    ndarray
-        1 on the edge of the band; NaN where there is no reading.
+    `quantiles_c` (5, ...) at `twin_core.scores.QUANTILE_LEVELS`; `values_c`: readings of the
+    quantiles' last axes, or members of such in front of them. Returns 1 on the edge of the band;
+    NaN where there is no reading.
     """
     low, _, median, _, high = quantiles_c
     return _shares(median, low, high, np.asarray(values_c, np.float64))
@@ -40,18 +32,9 @@ def shares_of_band(quantiles_c: FloatArray, values_c: ArrayLike) -> FloatArray:
 def whole_run_factor(members_c: FloatArray, ordered_c: FloatArray) -> FloatArray:
     """Factor on the 95 % band of each moment with which it holds 90 % of the members wholly.
 
-    Parameters
-    ----------
-    members_c
-        (members, n, sensors) readings, with their noise.
-    ordered_c
-        (n, sensors, members) the same, sorted along the last axis.
-
-    Returns
-    -------
-    ndarray
-        (sensors,). Of so many members that of further ones 90 % stay inside, as in conformal
-        prediction.
+    `members_c` (members, n, sensors) readings, with their noise; `ordered_c` (n, sensors, members)
+    the same, sorted along the last axis. Returns (sensors,). Of so many members that of further
+    ones 90 % stay inside, as in conformal prediction.
     """
     # A member beyond an edge has helped to put it there: that of the others is one further in.
     count = len(members_c)
@@ -67,12 +50,8 @@ def whole_run_factor(members_c: FloatArray, ordered_c: FloatArray) -> FloatArray
 def whole_run_band(quantiles_c: FloatArray, factor: ArrayLike) -> FloatArray:
     """Lower and upper edge (2, ...) of the band of the whole run, degC.
 
-    Parameters
-    ----------
-    quantiles_c
-        (5, ...) of each moment.
-    factor
-        On the distance of the 95 % band's edges from the median; of the quantiles' last axes.
+    `quantiles_c` (5, ...) of each moment; `factor`: on the distance of the 95 % band's edges from
+    the median; of the quantiles' last axes.
     """
     low, _, median, _, high = quantiles_c
     wide = np.asarray(factor, np.float64)

@@ -4,8 +4,9 @@ from twin_core.identification.data import IdentificationData, IdentificationWind
 from twin_core.identification.identify import (
     DEFAULT_BUDGET,
     SEARCH_ALONE_BUDGET,
+    FitSettings,
+    IdentificationProgress,
     IdentificationResult,
-    Progress,
     default_budget,
     identify,
 )
@@ -16,14 +17,15 @@ from twin_core.identification.refinement import IdentificationCancelled
 __all__ = [
     "DEFAULT_BUDGET",
     "SEARCH_ALONE_BUDGET",
+    "FitSettings",
     "IdentificationCancelled",
     "IdentificationData",
+    "IdentificationProgress",
     "IdentificationResult",
     "IdentificationWindow",
     "Nutcracker",
     "NutcrackerSettings",
     "Posterior",
-    "Progress",
     "TrainedRange",
     "default_budget",
     "identify",

@@ -2,7 +2,7 @@
 
 Resumed on the same data with the same order, it ends in the same result as if nothing had
 happened, bit for bit: parameters, samples, history and number of evaluations. On other data a
-checkpoint is worthless, which its ``order`` tells.
+checkpoint is worthless, which its ``order`` shows.
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,40 +12,32 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twin_core import TwinCoreError
+
 FloatArray = NDArray[np.float64]
 
 
-class CheckpointMismatchError(ValueError):
+class CheckpointMismatchError(TwinCoreError, ValueError):
     """The checkpoint belongs to another identification."""
 
 
 @dataclass(slots=True, eq=False)
 class Checkpoint:
-    """How far an identification has come.
+    """How far an identification has come."""
 
-    Attributes
-    ----------
-    order
-        What is identified from what and how; two orders that are equal give the same result. Data
-        and model are in it through costs at the prior's centre and next to it.
-    evaluations, history, best_fitness, fraction
-        Of the whole identification so far.
-    search
-        State of the nutcracker search that was under way when this was saved.
-    found_z
-        (p,) where the global search ended.
-    refined
-        Cost and unknowns (d,) of every start refined so far; None for a start whose simulation
-        fails.
-    """
-
+    #: What is identified from what and how; two orders that are equal give the same result. Data
+    #: and model are in it through costs at the prior's centre and next to it.
     order: Mapping[str, Any]
+    #: Of the whole identification so far.
     evaluations: int = 0
     history: list[tuple[int, float]] = field(default_factory=list)
     best_fitness: float = float("inf")
     fraction: float = 0.0
+    #: State of the nutcracker search that was under way when this was saved.
     search: dict[str, Any] | None = None
-    found_z: FloatArray | None = None
+    found_z: FloatArray | None = None  # (p,) where the global search ended
+    #: Cost and unknowns (d,) of every start refined so far; None for a start whose simulation
+    #: fails.
     refined: dict[str, tuple[float, FloatArray] | None] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
@@ -71,10 +63,8 @@ class Checkpoint:
     def from_dict(cls, document: Mapping[str, Any], order: Mapping[str, Any]) -> "Checkpoint":
         """Take back what `to_dict` gave.
 
-        Raises
-        ------
-        CheckpointMismatchError
-            If it was made for another order, or is no checkpoint; names what differs.
+        Raises `CheckpointMismatchError` if it was made for another order, or is no checkpoint;
+        names what differs.
         """
         theirs = document.get("order")
         if not isinstance(theirs, Mapping):

@@ -22,12 +22,8 @@ class Cost(Protocol):
     def without_nuisance(self, residuals: FloatArray, sensitivity: FloatArray) -> FloatArray:
         """Cost (B,) with the nuisance unknowns at their best, their priors N(0, 1) included.
 
-        Parameters
-        ----------
-        residuals
-            (B, m + ...) the m measurements first, the nuisance unknowns at zero.
-        sensitivity
-            (m, k) of the measurements to the nuisance unknowns.
+        `residuals` (B, m + ...) the m measurements first, the nuisance unknowns at zero;
+        `sensitivity` (m, k) of the measurements to the nuisance unknowns.
         """
 
 

@@ -1,29 +1,20 @@
 """What parameters are identified from: windows of measured rows and how each one began."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from twin_core.operating_points import new_points
-from twin_core.windows import MinuteData, OperatingPoint, window_of
+from twin_core.windows import MinuteData, OperatingSpan, window_of
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IdentificationWindow:
-    """One contiguous span of measured rows.
+    """One contiguous span of measured rows."""
 
-    Attributes
-    ----------
-    minutes
-        The rows; bad ones are skipped, not filled.
-    at_rest
-        Whether the whole machine was at ambient temperature at the first row. If not, the initial
-        temperatures are estimated along with the parameters.
-    revolutions
-        Revolutions of the shaft since the grease was fresh, at the first row.
-    """
-
-    minutes: MinuteData
+    minutes: MinuteData  # the rows; bad ones are skipped, not filled
+    #: Whether the whole machine was at ambient temperature at the first row. If not, the initial
+    #: temperatures are estimated along with the parameters.
     at_rest: bool
+    #: Revolutions of the shaft since the grease was fresh, at the first row.
     revolutions: float = 0.0
 
 
@@ -31,10 +22,7 @@ class IdentificationWindow:
 class IdentificationData:
     """All windows of one identification, in time order.
 
-    Raises
-    ------
-    ValueError
-        If there is no window, or one without three good rows with a temperature.
+    Raises `ValueError` if there is no window, or one without three good rows with a temperature.
     """
 
     windows: tuple[IdentificationWindow, ...]
@@ -51,19 +39,14 @@ class IdentificationData:
                 )
 
     @property
-    def operating_points(self) -> tuple[OperatingPoint, ...]:
+    def operating_points(self) -> tuple[OperatingSpan, ...]:
         """The operating points of all windows."""
         return tuple(
             point for window in self.windows for point in window_of(window.minutes).operating_points
         )
 
     @property
-    def duty(self) -> tuple[OperatingPoint, ...]:
+    def duty(self) -> tuple[OperatingSpan, ...]:
         """Where the machine ran while it was held nowhere, of all windows."""
         points = [point for window in self.windows for point in window_of(window.minutes).duty]
         return tuple(new_points((), points, 0.0))
-
-
-def with_windows(windows: Sequence[IdentificationWindow]) -> IdentificationData:
-    """Make a data set of windows in any order."""
-    return IdentificationData(tuple(sorted(windows, key=lambda w: float(w.minutes.time_s[0]))))

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_core.identification.data import IdentificationData
-from twin_core.identification.identify import IdentificationResult, identify
+from twin_core.identification.identify import FitSettings, IdentificationResult, identify
 from twin_core.identification.posterior import Posterior
 from twin_core.identification.prediction_tests import (
     SHORTEST_TEST_S,
@@ -61,27 +61,15 @@ class GateCheck:
 
 @dataclass(frozen=True, slots=True)
 class GateReport:
-    """The verdict on a candidate.
+    """The verdict on a candidate."""
 
-    Attributes
-    ----------
-    accepted
-        Whether every check passed.
-    reason
-        The details of the failed checks, or what speaks for the candidate.
-    checks
-        All checks.
-    scores
-        Rms in K: in the training data per sensor, and in each prediction test of candidate and
-        active model.
-    naive
-        Rms in K of the naive forecasts in the same tests, by test, kind and sensor.
-    """
-
-    accepted: bool
-    reason: str
+    accepted: bool  # whether every check passed
+    reason: str  # the details of the failed checks, or what speaks for the candidate
     checks: tuple[GateCheck, ...]
+    #: Rms in K: in the training data per sensor, and in each prediction test of candidate and
+    #: active model.
     scores: Mapping[str, Any]
+    #: Rms in K of the naive forecasts in the same tests, by test, kind and sensor.
     naive: Mapping[str, Any]
 
     def to_dict(self) -> dict[str, Any]:
@@ -108,23 +96,9 @@ def judge(
 ) -> GateReport:
     """Decide whether an identification's result may become the active model.
 
-    Parameters
-    ----------
-    model, data, result
-        The candidate and what it was identified from.
-    active
-        Posterior of the active model, of the same model structure.
-    seed, loss
-        For the nested fits; the loss is that of the candidate's own.
-    prior
-        The candidate's, for the nested fits; the literature's by default.
-    cancelled
-        Asked during the nested fits.
-
-    Raises
-    ------
-    IdentificationCancelled
-        When ``cancelled`` says so.
+    `active`: posterior of the active model, of the same model structure; `seed`, `loss`: for the
+    nested fits; the loss is that of the candidate's own; `prior`: the candidate's, for the nested
+    fits; the literature's by default. Raises `IdentificationCancelled` when ``cancelled`` says so.
     """
     active.check(model)
     checks = [_fit(result), _ranges(model, result), _structure(model, data, result, loss)]
@@ -139,10 +113,10 @@ def judge(
         scores[test.name] = dict(check.values)
         naive[test.name] = by_kind
     failed = [check for check in checks if not check.passed]
-    telling = failed or checks[3:] or checks[:1]
+    stated = failed or checks[3:] or checks[:1]
     return GateReport(
         accepted=not failed,
-        reason="; ".join(check.detail for check in telling),
+        reason="; ".join(check.detail for check in stated),
         checks=tuple(checks),
         scores=scores,
         naive=naive,
@@ -162,10 +136,7 @@ def _nested(
         nested = identify(
             model,
             test.training,
-            method="refine",
-            seed=seed,
-            samples=0,
-            loss=loss,
+            FitSettings(method="refine", seed=seed, samples=0, loss=loss),
             prior=prior,
             cancelled=cancelled,
         )

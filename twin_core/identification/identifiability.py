@@ -1,4 +1,4 @@
-"""What given windows can tell about a model's parameters, and what they cannot, whatever the fit.
+"""What given windows can say about a model's parameters, and what they cannot, whatever the fit.
 
 The sensitivities of all measurements to the parameters, in units of the noise per prior standard
 deviation and with sensor lag and initial states eliminated, are decomposed: S = U diag(s) V'. Each
@@ -40,25 +40,14 @@ def verdict(std: float) -> Verdict:
 
 
 @dataclass(frozen=True, slots=True)
-class Combination:
-    """A combination of parameters.
+class ParameterCombination:
+    """A combination of parameters."""
 
-    Attributes
-    ----------
-    strength
-        Singular value: prior standard deviation over that of the data alone.
-    std
-        Posterior standard deviation in units of the prior's.
-    verdict
-        See `verdict`.
-    weights
-        Share of each parameter's standard coordinate, the largest first and positive; the squares
-        of all sum to one.
-    """
-
-    strength: float
-    std: float
-    verdict: Verdict
+    strength: float  # singular value: prior standard deviation over that of the data alone
+    std: float  # posterior standard deviation in units of the prior's
+    verdict: Verdict  # see `verdict`
+    #: Share of each parameter's standard coordinate, the largest first and positive; the squares of
+    #: all sum to one.
     weights: dict[str, float]
 
     @property
@@ -75,21 +64,11 @@ class Combination:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Identifiability:
-    """What windows tell about p parameters.
-
-    Attributes
-    ----------
-    names
-        Of the parameters.
-    singular_values
-        (p,) descending.
-    directions
-        (p, p) orthonormal rows: the combinations in standard coordinates.
-    """
+    """What windows say about p parameters."""
 
     names: tuple[str, ...]
-    singular_values: FloatArray
-    directions: FloatArray
+    singular_values: FloatArray  # (p,) descending
+    directions: FloatArray  # (p, p) orthonormal rows: the combinations in standard coordinates
 
     @property
     def rank(self) -> int:
@@ -124,7 +103,7 @@ class Identifiability:
         return np.asarray(np.clip(1.0 - np.diag(self.covariance), 0.0, 1.0))
 
     @property
-    def combinations(self) -> tuple[Combination, ...]:
+    def combinations(self) -> tuple[ParameterCombination, ...]:
         """All p combinations, the best known first."""
         return tuple(
             self._combination(float(strength), direction)
@@ -135,7 +114,7 @@ class Identifiability:
         """Number of combinations with a verdict."""
         return sum(one.verdict == wanted for one in self.combinations)
 
-    def _combination(self, strength: float, direction: FloatArray) -> Combination:
+    def _combination(self, strength: float, direction: FloatArray) -> ParameterCombination:
         std = 1.0 / float(np.sqrt(1.0 + strength**2))
         order = np.argsort(-np.abs(direction), kind="stable")
         sign = -1.0 if direction[order[0]] < 0.0 else 1.0
@@ -144,7 +123,7 @@ class Identifiability:
             for k in order
             if abs(direction[k]) >= _WEIGHT or k == order[0]
         }
-        return Combination(strength, std, verdict(std), weights)
+        return ParameterCombination(strength, std, verdict(std), weights)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain JSON types; weights below 0.05 are left out."""
@@ -168,14 +147,9 @@ class Identifiability:
 
 
 def identifiability(problem: IdentificationProblem, unknowns: FloatArray) -> Identifiability:
-    """Decompose what a problem's windows tell at a point.
+    """Decompose what a problem's windows say at a point.
 
-    Parameters
-    ----------
-    problem
-        Model and windows.
-    unknowns
-        (d,) where: the optimum, or `IdentificationProblem.with_nuisance` of any parameters.
+    `unknowns` (d,) where: the optimum, or `IdentificationProblem.with_nuisance` of any parameters.
     """
     p, m = problem.parameter_count, problem.measurement_count
     jacobian = problem.jacobian(unknowns)
@@ -187,14 +161,8 @@ def of_sensitivities(
 ) -> Identifiability:
     """Decompose whitened sensitivities.
 
-    Parameters
-    ----------
-    names
-        Of the p parameters.
-    sensitivities
-        (m, p) of unit-variance measurements to standard coordinates.
-    nuisance
-        (m, q) to other unknowns with standard normal priors, which are regressed out.
+    `sensitivities` (m, p) of unit-variance measurements to standard coordinates; `nuisance` (m, q)
+    to other unknowns with standard normal priors, which are regressed out.
     """
     m, p = sensitivities.shape
     if nuisance is not None and nuisance.shape[1]:

@@ -31,7 +31,7 @@ DEFAULT_BUDGET = 1000
 """Evaluations of the global search that a refinement follows."""
 
 SEARCH_ALONE_BUDGET = 20_000
-"""Evaluations of a global search that has to finish by itself."""
+"""Evaluations of a global search that has to finish without a refinement."""
 
 DEFAULT_SAMPLES = 200
 """Posterior samples, as many as a forecast has members."""
@@ -48,76 +48,69 @@ _RESERVE_ITERATIONS = 25
 
 
 @dataclass(frozen=True, slots=True)
-class Progress:
-    """How far an identification has come.
+class IdentificationProgress:
+    """How far an identification has come."""
 
-    Attributes
-    ----------
-    fraction
-        0 to 1, never falls.
-    phase
-        ``"search"``, ``"refinement"``, ``"sampling"`` or ``"done"``.
-    evaluations
-        Simulations of the data set so far.
-    best_fitness
-        Smallest sum of squared residuals so far; infinite before the first.
-    """
-
-    fraction: float
-    phase: Phase
-    evaluations: int
-    best_fitness: float
+    fraction: float  # 0 to 1, never falls
+    phase: Phase  # ``"search"``, ``"refinement"``, ``"sampling"`` or ``"done"``
+    evaluations: int  # simulations of the data set so far
+    best_fitness: float  # smallest sum of squared residuals so far; infinite before the first
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IdentificationResult:
-    """What an identification found.
+    """What an identification found."""
 
-    Attributes
-    ----------
-    posterior
-        Most probable parameters and their uncertainty.
-    status, reason
-        ``"converged"``, or ``"failed fit"`` with the reason; a failed fit must not forecast.
-    history
-        (evaluations, best sum of squares) over the run; in the search with lag and initial states
-        linearised.
-    evaluations
-        Simulations of the data set. One that gives its derivatives as well counts as one; it takes
-        as long as some seven (default model) or four (paper's).
-    best_fitness
-        Sum of squared residuals at the end, priors included.
-    starts
-        Cost that each refinement reached, by name of its start.
-    unknowns
-        (d,) parameters, lag and initial states, for further use with the same data.
-    """
-
-    posterior: Posterior
+    posterior: Posterior  # most probable parameters and their uncertainty
+    #: ``"converged"``, or ``"failed fit"`` with the reason; a failed fit must not forecast.
     status: Status
     reason: str
+    #: (evaluations, best sum of squares) over the run; in the search with lag and initial states
+    #: linearised.
     history: tuple[tuple[int, float], ...]
+    #: Simulations of the data set. One that gives its derivatives as well counts as one; it takes
+    #: as long as some seven (default model) or four (paper's).
     evaluations: int
-    best_fitness: float
-    starts: dict[str, float]
+    best_fitness: float  # sum of squared residuals at the end, priors included
+    starts: dict[str, float]  # cost that each refinement reached, by name of its start
+    #: (d,) parameters, lag and initial states, for further use with the same data.
     unknowns: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class FitSettings:
+    """How parameters are searched and refined."""
+
+    #: ``"noa+refine"``: the nutcracker search, then bounded least squares from its best point, from
+    #: the prior's centre and from a random point near it. ``"refine"``: without the search but with
+    #: one more random start. ``"noa"``: the search alone.
+    method: Method = "noa+refine"
+    #: Evaluations of the search, at least 25; by default `default_budget`. Not used by
+    #: ``"refine"``.
+    budget: int | None = None
+    seed: int = 0  # same seed, same result
+    #: Even number of posterior samples; 0 for none, where only the optimum matters.
+    samples: int = DEFAULT_SAMPLES
+    search: Search | None = None  # another global search in NOA's place
+    #: What ends the nutcracker search before its budget is used up.
+    stopping: StoppingCriteria = BUDGET_ONLY
+    loss: Loss = "linear"  # of the measurements; a robust one keeps outliers from bending the fit
+
+    @property
+    def evaluations(self) -> int:
+        """Evaluations that the search may take."""
+        return default_budget(self.method) if self.budget is None else self.budget
 
 
 def identify(
     model: ThermalModel,
     data: IdentificationData,
+    fit: FitSettings = FitSettings(),
     *,
-    method: Method = "noa+refine",
-    budget: int | None = None,
-    seed: int = 0,
     guess_z: FloatArray | None = None,
     warm: bool = False,
-    samples: int = DEFAULT_SAMPLES,
-    search: Search | None = None,
-    stopping: StoppingCriteria = BUDGET_ONLY,
-    loss: Loss = "linear",
     prior: NormalPrior | None = None,
-    progress: Callable[[Progress], None] | None = None,
+    progress: Callable[[IdentificationProgress], None] | None = None,
     cancelled: Callable[[], bool] | None = None,
     save: Save | None = None,
     resume: Mapping[str, Any] | None = None,
@@ -126,40 +119,17 @@ def identify(
 
     Parameters
     ----------
-    model
-        What is identified.
-    data
-        Windows of measured rows.
-    method
-        ``"noa+refine"``: the nutcracker search, then bounded least squares from its best point,
-        from the prior's centre and from a random point near it. ``"refine"``: without the search
-        but with one more random start. ``"noa"``: the search alone.
-    budget
-        Evaluations of the search, at least 25; by default `default_budget`. Not used by
-        ``"refine"``.
-    seed
-        Same seed, same result.
     guess_z
         (p,) a known good guess, such as the active model's; a further start of the refinement.
     warm
         Refine from the guess alone: a twentieth of the work where the machine has hardly changed
-        since the guess; where it has, it may end in another optimum than the best. With a guess
-        and ``"refine"`` only.
-    samples
-        Even number of posterior samples; 0 for none, where only the optimum matters.
-    search
-        Another global search in NOA's place.
-    stopping
-        What ends the nutcracker search before its budget is used up.
-    loss
-        Of the measurements; a robust one keeps outliers from bending the fit.
+        since the guess; where it has, it may end in another optimum than the best. With a guess and
+        ``"refine"`` only.
     prior
         Of the parameters, such as sisters give; the literature's by default. The search still looks
         through the literature's box, the other starts are taken around this prior's mean.
-    progress
+    progress, cancelled
         Called at every sweep and iteration.
-    cancelled
-        Asked at every sweep and iteration.
     save
         Called after every sweep of the nutcracker search and every refined start.
     resume
@@ -175,61 +145,32 @@ def identify(
     ValueError
         For an unknown method, too small a budget, or a sensor that the model does not have.
     """
-    if method not in get_args(Method):
-        raise ValueError(f"method is {method!r}, expected one of {', '.join(get_args(Method))}")
-    if warm and (method != "refine" or guess_z is None):
-        raise ValueError(f"warm with method {method!r}: expected 'refine' and a guess")
-    if budget is None:
-        budget = default_budget(method)
-    problem = IdentificationProblem(model, data, guess_z, loss, prior=prior)
-    state = Checkpoint(
-        {
-            "method": method,
-            "budget": budget,
-            "seed": seed,
-            "model": model.name,
-            "bearing": model.machine,
-            "guess": None if guess_z is None else guess_z.tolist(),
-            "warm": warm,
-            "search": None if search is None else getattr(search, "__name__", "other"),
-            "stopping": [stopping.target, stopping.stagnation_sweeps, stopping.spread],
-            "loss": loss,
-            "data_or_model": [problem.measurement_count, *_prior_costs(problem)],
-        }
-    )
+    if fit.method not in get_args(Method):
+        raise ValueError(f"method is {fit.method!r}, expected one of {', '.join(get_args(Method))}")
+    if warm and (fit.method != "refine" or guess_z is None):
+        raise ValueError(f"warm with method {fit.method!r}: expected 'refine' and a guess")
+    problem = IdentificationProblem(model, data, guess_z, fit.loss, prior=prior)
+    state = Checkpoint(_order(problem, fit, guess_z, warm))
     if resume is not None:
         state = Checkpoint.from_dict(resume, state.order)
         problem.evaluations = state.evaluations
     run = _Run(problem, state, progress, cancelled, save)
-    rng = np.random.default_rng(seed)
-    p = model.parameters.size
     starts: dict[str, FloatArray] = {}
-    if method != "refine":
-        share = _SEARCH_SHARE if "+" in method else _REFINED_SHARE
-        starts["search"] = _searched(run, budget, seed, share, search, stopping)
-    if guess_z is not None and warm:
-        starts["guess"] = guess_z
-    else:
-        around = problem.prior
-        starts["prior"] = around.mean.copy()
-        if guess_z is not None:
-            starts["guess"] = guess_z
-        for number in range(2 if method == "refine" else 1):
-            starts[f"random {number + 1}"] = around.mean + around.factor @ rng.normal(
-                0.0, _RANDOM_START_SD, p
-            )
-    if method == "noa":
+    if fit.method != "refine":
+        starts["search"] = _searched(run, fit)
+    starts |= _refinement_starts(problem, fit, guess_z, warm)
+    if fit.method == "noa":
         best = problem.with_nuisance(starts["search"])
         # The search's own cost has lag and initial states linearised.
         costs = {"search": float(np.sum(problem.residuals(best)[0] ** 2))}
     else:
         best, costs = _refine_all(run, starts)
-    run.tell(state.fraction, "sampling")
-    posterior = posterior_at(problem, best, samples, seed)
+    run.report(state.fraction, "sampling")
+    posterior = posterior_at(problem, best, fit.samples, fit.seed)
     reason = fit_problem(posterior, model.errors)
     if reason and model.runaway is not None:
         reason += preload_warning(data)
-    run.tell(1.0, "done")
+    run.report(1.0, "done")
     return IdentificationResult(
         posterior=posterior,
         status="failed fit" if reason else "converged",
@@ -242,8 +183,46 @@ def identify(
     )
 
 
+def _order(
+    problem: IdentificationProblem, fit: FitSettings, guess_z: FloatArray | None, warm: bool
+) -> dict[str, Any]:
+    """What is identified from what and how, for a checkpoint."""
+    stopping, search = fit.stopping, fit.search
+    return {
+        "method": fit.method,
+        "budget": fit.evaluations,
+        "seed": fit.seed,
+        "model": problem.model.name,
+        "bearing": problem.model.machine,
+        "guess": None if guess_z is None else guess_z.tolist(),
+        "warm": warm,
+        "search": None if search is None else getattr(search, "__name__", "other"),
+        "stopping": [stopping.target, stopping.stagnation_sweeps, stopping.spread],
+        "loss": fit.loss,
+        "data_or_model": [problem.measurement_count, *_prior_costs(problem)],
+    }
+
+
+def _refinement_starts(
+    problem: IdentificationProblem, fit: FitSettings, guess_z: FloatArray | None, warm: bool
+) -> dict[str, FloatArray]:
+    """Where the refinement begins besides the end of the search, (p,) by name."""
+    if guess_z is not None and warm:
+        return {"guess": guess_z}
+    rng = np.random.default_rng(fit.seed)
+    around = problem.prior
+    starts = {"prior": around.mean.copy()}
+    if guess_z is not None:
+        starts["guess"] = guess_z
+    for number in range(2 if fit.method == "refine" else 1):
+        starts[f"random {number + 1}"] = around.mean + around.factor @ rng.normal(
+            0.0, _RANDOM_START_SD, problem.parameter_count
+        )
+    return starts
+
+
 def default_budget(method: Method) -> int:
-    """Evaluations that the search of a method may take unless told otherwise."""
+    """Evaluations that the search of a method may take by default."""
     return SEARCH_ALONE_BUDGET if method == "noa" else DEFAULT_BUDGET
 
 
@@ -278,21 +257,23 @@ def _describe(posterior: Posterior) -> str:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Run:
-    """One identification: its state, and who is told of it."""
+    """One identification: its state, and who is notified of it."""
 
     problem: IdentificationProblem
     state: Checkpoint
-    progress: Callable[[Progress], None] | None
+    progress: Callable[[IdentificationProgress], None] | None
     cancelled: Callable[[], bool] | None
     save: Save | None
 
-    def tell(self, fraction: float, phase: Phase, cost: float = float("inf")) -> None:
+    def report(self, fraction: float, phase: Phase, cost: float = float("inf")) -> None:
         """Note a cost and the progress, pass it on, and stop if that is wanted."""
         self.note(fraction, cost)
         state = self.state
         if self.progress is not None:
             self.progress(
-                Progress(state.fraction, phase, self.problem.evaluations, state.best_fitness)
+                IdentificationProgress(
+                    state.fraction, phase, self.problem.evaluations, state.best_fitness
+                )
             )
         if phase != "done" and self.cancelled is not None and self.cancelled():
             raise IdentificationCancelled
@@ -317,33 +298,25 @@ class _Run:
             )
 
 
-def _searched(
-    run: _Run,
-    budget: int,
-    seed: int,
-    share: float,
-    search: Search | None,
-    stopping: StoppingCriteria,
-) -> FloatArray:
+def _searched(run: _Run, fit: FitSettings) -> FloatArray:
     """Global search in the unit box over the prior's coordinates; returns the best (p,)."""
     if run.state.found_z is not None:
         return run.state.found_z
-    if search is not None:
-        found = _other_search(run, budget, seed, share, search)
+    share = _SEARCH_SHARE if "+" in fit.method else _REFINED_SHARE
+    if fit.search is not None:
+        found = _other_search(run, fit, share, fit.search)
     else:
-        found = _nutcracker_search(run, budget, seed, share, stopping)
+        found = _nutcracker_search(run, fit, share)
     run.state.found_z = found
     run.keep()
     return found
 
 
-def _nutcracker_search(
-    run: _Run, budget: int, seed: int, share: float, stopping: StoppingCriteria
-) -> FloatArray:
-    p = run.problem.parameter_count
+def _nutcracker_search(run: _Run, fit: FitSettings, share: float) -> FloatArray:
+    p, budget = run.problem.parameter_count, fit.evaluations
     space = IdentificationSpace(run.problem, budget)
     if run.state.search is None:
-        nutcracker = Nutcracker(np.zeros(p), np.ones(p), budget=budget, seed=seed)
+        nutcracker = Nutcracker(np.zeros(p), np.ones(p), budget=budget, seed=fit.seed)
     else:
         nutcracker = Nutcracker.from_state(run.state.search)
 
@@ -351,19 +324,19 @@ def _nutcracker_search(
         fraction = share * nutcracker.evaluations / budget
         run.note(fraction, nutcracker.best_fitness)
         run.keep(nutcracker)
-        run.tell(fraction, "search")
+        run.report(fraction, "search")
 
-    run_search(nutcracker, lambda unit: run.problem.costs(space.z(unit)), stopping, after_sweep)
+    run_search(nutcracker, lambda unit: run.problem.costs(space.z(unit)), fit.stopping, after_sweep)
     return space.z(nutcracker.best_position)
 
 
-def _other_search(run: _Run, budget: int, seed: int, share: float, search: Search) -> FloatArray:
+def _other_search(run: _Run, fit: FitSettings, share: float, search: Search) -> FloatArray:
     def after_batch(space: IdentificationSpace) -> None:
-        run.tell(share * space.evaluations / budget, "search", space.best_cost)
+        run.report(share * space.evaluations / fit.evaluations, "search", space.best_cost)
 
-    space = IdentificationSpace(run.problem, budget, after_batch)
+    space = IdentificationSpace(run.problem, fit.evaluations, after_batch)
     with contextlib.suppress(SearchEnd):
-        search(space, seed)
+        search(space, fit.seed)
     return space.best_z
 
 
@@ -380,7 +353,7 @@ def _refine_all(run: _Run, starts: dict[str, FloatArray]) -> tuple[FloatArray, d
             nonlocal done
             done += 1
             within = min(done / _RESERVE_ITERATIONS, 1.0)
-            run.tell(
+            run.report(
                 begun + (_REFINED_SHARE - begun) * (number + within) / len(starts),
                 "refinement",
                 cost,
@@ -396,7 +369,7 @@ def _refine_all(run: _Run, starts: dict[str, FloatArray]) -> tuple[FloatArray, d
         if end is not None:
             run.note(run.state.fraction, end.cost)
         run.keep()
-        run.tell(run.state.fraction, "refinement")
+        run.report(run.state.fraction, "refinement")
     ends = [end for end in refined.values() if end is not None]
     if not ends:
         raise ValueError("the simulation fails at every start: are speed, load and ambient sound?")

@@ -34,7 +34,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from twin_core.identification import noa_moves as moves
 from twin_core.identification.noa_moves import FloatArray, Variant
@@ -42,26 +42,15 @@ from twin_core.identification.noa_moves import FloatArray, Variant
 
 @dataclass(frozen=True, slots=True)
 class NutcrackerSettings:
-    """Settings of the algorithm; the defaults are the authors'.
+    """Settings of the algorithm; the defaults are the authors'."""
 
-    Attributes
-    ----------
-    population
-        Number of members N.
-    variant
-        ``"released"`` (the authors' program) or ``"printed"`` (the equations as published).
-    jump_probability
-        delta of Eq. 1: share of the coordinates with a wide jump in the second half.
-    recovery_threshold
-        P_a2 of Eq. 18.
-    mask_probability
-        P_rb of Eq. 10: share of the coordinates that the second reference point moves.
-    """
-
-    population: int = 25
+    population: int = 25  # number of members N
+    #: ``"released"`` (the authors' program) or ``"printed"`` (the equations as published).
     variant: Variant = "released"
+    #: delta of Eq. 1: share of the coordinates with a wide jump in the second half.
     jump_probability: float = 0.05
-    recovery_threshold: float = 0.2
+    recovery_threshold: float = 0.2  # P_a2 of Eq. 18.
+    #: P_rb of Eq. 10: share of the coordinates that the second reference point moves.
     mask_probability: float = 0.2
 
     def __post_init__(self) -> None:
@@ -82,26 +71,11 @@ class _Batch:
 class Nutcracker:
     """NOA as an ask/tell machine: one ``ask`` is one sweep over the population.
 
-    Parameters
-    ----------
-    lower, upper
-        (d,) finite box, lower < upper.
-    budget
-        Number of objective evaluations T, at least the population size.
-    seed
-        Seed of the numpy generator; the same seed gives the same run.
-    settings
-        See `NutcrackerSettings`.
-
-    Raises
-    ------
-    ValueError
-        For a box or budget that makes no sense.
-
-    Notes
-    -----
     A fitness that is NaN or infinite counts as the worst possible: it costs that candidate one
     evaluation and nothing else. Smaller is better.
+
+    `lower`, `upper` (d,) finite box, lower < upper; `budget`: number of objective evaluations T, at
+    least the population size. Raises `ValueError` for a box or budget that makes no sense.
     """
 
     def __init__(
@@ -146,10 +120,7 @@ class Nutcracker:
     def best_position(self) -> FloatArray:
         """The best point so far, (d,), a copy.
 
-        Raises
-        ------
-        RuntimeError
-            Before the first fitness is known.
+        Raises `RuntimeError` before the first fitness is known.
         """
         if self.evaluations == 0:
             raise RuntimeError("no candidate has been evaluated yet")
@@ -187,12 +158,8 @@ class Nutcracker:
     def tell(self, fitness: ArrayLike) -> None:
         """Take the (n,) fitness values of the candidates that `ask` returned, in their order.
 
-        Raises
-        ------
-        RuntimeError
-            Without a preceding `ask`.
-        ValueError
-            If the number of values is wrong.
+        Raises `RuntimeError` without a preceding `ask`, `ValueError` if the number of values is
+        wrong.
         """
         if self._pending is None:
             raise RuntimeError("tell() needs a preceding ask()")
@@ -240,7 +207,7 @@ class Nutcracker:
     def _foraging_sweep(self, levy: FloatArray, shrink: float) -> _Batch:
         """Strategy I: foraging and storage, one trial per member."""
         rng, variant = self._rng, self.settings.variant
-        members, dimensions = self._positions.shape
+        members = len(self._positions)
         clock = self.evaluations + np.arange(members)
         explore_probability = (self.budget - clock) / self.budget
         phi = rng.random(members)
@@ -254,8 +221,23 @@ class Nutcracker:
             members_normal,
             np.full(members, levy[0, 0]),
         )[:, None]
-        member_a, member_b, member_c = (self._random_members() for _ in range(3))
-        foraged = np.where(
+        others = [self._random_members() for _ in range(3)]
+        foraged = self._foraged(clock, others, levy, mu)
+        stored = self._stored(others, levy, mu, shrink)
+        trial = np.where(explores[:, None], foraged, stored)
+        return _Batch(self._repair(trial), np.arange(members))
+
+    def _foraged(
+        self,
+        clock: NDArray[np.int64],
+        others: list[FloatArray],
+        levy: FloatArray,
+        mu: FloatArray,
+    ) -> FloatArray:
+        """Foraging, in the first half of the budget and after it."""
+        rng, (members, dimensions) = self._rng, self._positions.shape
+        member_a, member_b, member_c = others
+        return np.where(
             (clock <= self.budget / 2)[:, None],
             moves.forage_early(
                 self._positions,
@@ -282,10 +264,18 @@ class Nutcracker:
                 self._coin((members, dimensions)),
             ),
         )
+
+    def _stored(
+        self, others: list[FloatArray], levy: FloatArray, mu: FloatArray, shrink: float
+    ) -> FloatArray:
+        """Storage: towards the best, around it, or towards the origin."""
+        rng, variant = self._rng, self.settings.variant
+        members, dimensions = self._positions.shape
+        member_a, member_b, _ = others
         storage_mu = rng.random((members, 1)) if variant == "released" else mu
         every = np.ones((members, dimensions), dtype=np.bool_)
         masked = self._coin((members, dimensions))
-        stored = np.where(
+        return np.where(
             self._coin((members, 1)),
             moves.store_towards_best(
                 self._positions,
@@ -309,8 +299,6 @@ class Nutcracker:
                 moves.store_towards_origin(self._best, np.full((members, 1), shrink)),
             ),
         )
-        trial = np.where(explores[:, None], foraged, stored)
-        return _Batch(self._repair(trial), np.arange(members))
 
     def _cache_sweep(self, rising: bool) -> _Batch:
         """Strategy II: one trial per recovering member, both reference points of a searching one.

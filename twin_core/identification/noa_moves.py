@@ -43,17 +43,11 @@ def step_factor(
 ) -> FloatArray:
     """Return the step factor mu of Eq. 2, one number per member.
 
-    Parameters
-    ----------
-    variant
-        ``"released"``: two independent coins (50 % uniform, 25 % normal, 25 % Lévy).
-        ``"printed"``: r1 < r2, then r2 < r3, else the Lévy number. The printed third condition
-        r1 < r3 cannot hold where the first two failed, so it is read as "otherwise".
-    choices
-        (n, 4) uniform numbers; the released coins compare columns 0 with 1 and 2 with 3, the
-        printed conditions use columns 0 to 2 as r1, r2, r3.
-    uniform, normal, levy
-        (n,) candidates for mu.
+    `variant`: ``"released"``: two independent coins (50 % uniform, 25 % normal, 25 % Lévy).
+    ``"printed"``: r1 < r2, then r2 < r3, else the Lévy number. The printed third condition r1 < r3
+    cannot hold where the first two failed, so it is read as "otherwise". `choices` (n, 4) uniform
+    numbers; the released coins compare columns 0 with 1 and 2 with 3, the printed conditions use
+    columns 0 to 2 as r1, r2, r3; `uniform`, `normal`, `levy` (n,) candidates for mu.
     """
     first = choices[:, 0] < choices[:, 1]
     if variant == "released":
@@ -185,15 +179,9 @@ def repair(
 ) -> FloatArray:
     """Bring trials back into the box.
 
-    Parameters
-    ----------
-    trial
-        (n, d) points. A NaN coordinate counts as outside.
-    redraw
-        (n, 1) one coin per trial: True draws every violating coordinate again in its box, False
-        clamps all of them (NaN goes to the lower bound).
-    uniform
-        (n, d) uniform numbers for the new draws.
+    `trial` (n, d) points. A NaN coordinate counts as outside. `redraw` (n, 1) one coin per trial:
+    True draws every violating coordinate again in its box, False clamps all of them (NaN goes to
+    the lower bound). `uniform` (n, d) uniform numbers for the new draws.
     """
     inside = (trial >= lower) & (trial <= upper)
     fresh = np.clip(lower + uniform * (upper - lower), lower, upper)  # rounding may step out

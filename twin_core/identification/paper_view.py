@@ -18,10 +18,7 @@ def paper_view(model: ThermalModel, posterior: Posterior) -> dict[str, dict[str,
     The intervals are those of the posterior's samples, or of its normal approximation where it has
     none. A number that the reduced model holds fixed has an interval without width.
 
-    Raises
-    ------
-    ValueError
-        If the posterior belongs to another model.
+    Raises `ValueError` if the posterior belongs to another model.
     """
     if model.name != REDUCED_NAME:
         return None

@@ -18,7 +18,7 @@ from twin_core.identification.identifiability import (
 from twin_core.identification.problem import SENSOR_LAG_S, IdentificationProblem
 from twin_core.identification.sampling import posterior_samples
 from twin_core.models import ThermalModel
-from twin_core.operating_points import NEW_LOAD, NEW_SPEED, OperatingPoint, taught_values
+from twin_core.operating_points import NEW_LOAD, NEW_SPEED, OperatingSpan, taught_values
 
 FloatArray = NDArray[np.float64]
 
@@ -28,36 +28,20 @@ _ON_BOUND_Z = 0.02
 
 @dataclass(frozen=True, slots=True)
 class TrainedRange:
-    """Which operation a posterior was identified from.
+    """Which operation a posterior was identified from."""
 
-    Attributes
-    ----------
-    operating_points
-        In time order.
-    minutes
-        Number of rows.
-    from_rest
-        Whether any window began on a machine at standstill.
-    revolutions
-        Revolutions since the grease was fresh, at the first row.
-    ambient_c
-        Mean ambient temperature in degC; None where it is not known.
-    duty
-        Where the machine ran while it was held nowhere; see `twin_core.operating_points`.
-    drives
-        What the size of an input that drives a loss exceeds in one row of twenty, by name.
-    """
-
-    operating_points: tuple[OperatingPoint, ...] = ()
-    minutes: int = 0
-    from_rest: bool = False
-    revolutions: float = 0.0
-    ambient_c: float | None = None
-    duty: tuple[OperatingPoint, ...] = ()
+    operating_points: tuple[OperatingSpan, ...] = ()  # in time order
+    minutes: int = 0  # number of rows
+    from_rest: bool = False  # whether any window began on a machine at standstill
+    revolutions: float = 0.0  # revolutions since the grease was fresh, at the first row
+    ambient_c: float | None = None  # mean ambient temperature in degC; None where it is not known
+    #: Where the machine ran while it was held nowhere; see `twin_core.operating_points`.
+    duty: tuple[OperatingSpan, ...] = ()
+    #: What the size of an input that drives a loss exceeds in one row of twenty, by name.
     drives: Mapping[str, float] = field(default_factory=dict)
 
     @property
-    def points(self) -> tuple[OperatingPoint, ...]:
+    def points(self) -> tuple[OperatingSpan, ...]:
         """Where the machine ran: operating points and varying duty."""
         return (*self.operating_points, *self.duty)
 
@@ -87,51 +71,27 @@ class TrainedRange:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Posterior:
-    """What is known of a model's standard coordinates, and where it comes from.
+    """What is known of a model's standard coordinates, and where it comes from."""
 
-    Attributes
-    ----------
-    model_name, bearing
-        Which model it belongs to; *bearing* names its machine.
-    z
-        (p,) most probable standard coordinates.
-    covariance
-        (p, p) Laplace approximation around them.
-    samples
-        (k, p) samples of the posterior, which follow it better than the Laplace approximation
-        where that matters: in forecasts. k is 0 before any identification; the prior is normal.
-    sensor_lag_s
-        Lag of the temperature sensors in s.
-    train_rms_k
-        Root mean square error in the training data per sensor, K.
-    cost_per_residual
-        Mean squared whitened residual; about 1 or less for a good fit.
-    rank, condition
-        Of the whitened sensitivities, lag and initial states eliminated; see `Identifiability`.
-        0 and 1 before any identification.
-    informed_combinations
-        Parameter combinations with the verdict ``"informed"``.
-    trained
-        The data.
-    evaluations
-        Simulations of the data set that the identification took.
-    sisters
-        Whose posteriors the prior was made of; None for the literature's prior.
-    """
-
+    #: Which model it belongs to; *bearing* names its machine.
     model_name: str
     bearing: str
-    z: FloatArray
-    covariance: FloatArray
+    z: FloatArray  # (p,) most probable standard coordinates
+    covariance: FloatArray  # (p, p) Laplace approximation around them
+    #: (k, p) samples of the posterior, which follow it better than the Laplace approximation where
+    #: that matters: in forecasts. k is 0 before any identification; the prior is normal.
     samples: FloatArray
-    sensor_lag_s: float
-    train_rms_k: Mapping[str, float]
-    cost_per_residual: float
+    sensor_lag_s: float  # lag of the temperature sensors in s
+    train_rms_k: Mapping[str, float]  # root mean square error in the training data per sensor, K
+    cost_per_residual: float  # mean squared whitened residual; about 1 or less for a good fit
+    #: Of the whitened sensitivities, lag and initial states eliminated; see `Identifiability`. 0
+    #: and 1 before any identification.
     rank: int
     condition: float
-    informed_combinations: int
-    trained: TrainedRange
-    evaluations: int
+    informed_combinations: int  # parameter combinations with the verdict ``"informed"``
+    trained: TrainedRange  # the data
+    evaluations: int  # simulations of the data set that the identification took
+    #: Whose posteriors the prior was made of; None for the literature's prior.
     sisters: SisterKnowledge | None = None
 
     @property
@@ -168,10 +128,7 @@ class Posterior:
     def identifiability(self, model: ThermalModel) -> Identifiability:
         """Return the combinations of parameters that the data inform, and those they do not.
 
-        Raises
-        ------
-        ValueError
-            If the model is another one.
+        Raises `ValueError` if the model is another one.
         """
         self.check(model)
         return of_covariance(model.parameters.names, self.covariance)
@@ -188,10 +145,7 @@ class Posterior:
         there are any, have taken away, 0 to 1.
         ``at_bound`` is ``"lower"`` or ``"upper"`` where the value lies on a bound, else None.
 
-        Raises
-        ------
-        ValueError
-            If the model is another one.
+        Raises `ValueError` if the model is another one.
         """
         self.check(model)
         half = 1.959964 * self.std
@@ -276,12 +230,12 @@ class Posterior:
             condition=float(document["condition"]),
             informed_combinations=int(document["informed_combinations"]),
             trained=TrainedRange(
-                tuple(OperatingPoint.from_dict(point) for point in trained["operating_points"]),
+                tuple(OperatingSpan.from_dict(point) for point in trained["operating_points"]),
                 int(trained["minutes"]),
                 bool(trained["from_rest"]),
                 float(trained["revolutions"]),
                 None if trained.get("ambient_c") is None else float(trained["ambient_c"]),
-                tuple(OperatingPoint.from_dict(point) for point in trained.get("duty", ())),
+                tuple(OperatingSpan.from_dict(point) for point in trained.get("duty", ())),
                 {name: float(most) for name, most in trained.get("drives", {}).items()},
             ),
             evaluations=int(document["evaluations"]),
@@ -316,14 +270,7 @@ def posterior_at(
 ) -> Posterior:
     """Describe the posterior around the optimum ``unknowns`` (d,): Laplace approximation, samples.
 
-    Parameters
-    ----------
-    problem, unknowns
-        The problem and its optimum.
-    sample_count
-        Even number of samples, 0 for none.
-    seed
-        Of the samples.
+    `sample_count`: even, 0 for none.
     """
     p, m = problem.parameter_count, problem.measurement_count
     residuals = problem.residuals(unknowns)[0]

@@ -1,6 +1,6 @@
 """What a candidate model must predict: parts of the data that are delayed from its nested fit.
 
-The most demanding operating point tells how it extrapolates, the latest one whether it still holds.
+The most demanding operating point shows how it extrapolates, the latest one whether it still holds.
 """
 
 import contextlib
@@ -15,7 +15,7 @@ from twin_core.identification.data import IdentificationData, IdentificationWind
 from twin_core.identification.problem import first_measurements, profile_of
 from twin_core.models import ThermalModel
 from twin_core.observer import Observer
-from twin_core.operating_points import OperatingPoint, demand
+from twin_core.operating_points import OperatingSpan, demand
 from twin_core.scores import rms
 from twin_core.simulation import OperatingProfile, SimulationError, simulate
 from twin_core.windows import MinuteData, window_of
@@ -29,28 +29,16 @@ _FEWEST_ROWS = 20
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PredictionTest:
-    """A part of the data to predict, and what may be learned from for it.
+    """A part of the data to predict, and what may be learned from for it."""
 
-    Attributes
-    ----------
-    name
-        ``"extrapolation"`` or ``"latest"``.
-    training
-        The data without that part and without anything as demanding as it.
-    window
-        The window that holds it.
-    first, last
-        First and last of its rows among the window's good rows.
-    point
-        Its operating point.
-    """
-
-    name: str
+    name: str  # ``"extrapolation"`` or ``"latest"``
+    #: The data without that part and without anything as demanding as it.
     training: IdentificationData
-    window: IdentificationWindow
+    window: IdentificationWindow  # the window that holds it
+    #: First and last of its rows among the window's good rows.
     first: int
     last: int
-    point: OperatingPoint
+    point: OperatingSpan
 
     @property
     def rows(self) -> MinuteData:
@@ -86,7 +74,7 @@ def prediction_tests(data: IdentificationData) -> list[PredictionTest]:
     if found:
         return found
     start_s = latest.start_s + 2.0 / 3.0 * latest.duration_s
-    third = OperatingPoint(latest.speed_rpm, latest.load_n, latest.end_s - start_s, start_s)
+    third = OperatingSpan(latest.speed_rpm, latest.load_n, latest.end_s - start_s, start_s)
     test = _test("latest", data, number, third, lambda _: True)
     return [test] if test is not None else []
 
@@ -98,7 +86,7 @@ def _of_varying_duty(data: IdentificationData) -> list[PredictionTest]:
             continue
         start_s = found.start_s + 2.0 / 3.0 * found.duration_s
         rows = window.minutes.take(window.minutes.good & (window.minutes.time_s >= start_s))
-        third = OperatingPoint(
+        third = OperatingSpan(
             float(np.mean(np.abs(rows.speed_rpm))),
             float(np.mean(rows.load_n)),
             found.end_s - start_s,
@@ -109,7 +97,7 @@ def _of_varying_duty(data: IdentificationData) -> list[PredictionTest]:
     return []
 
 
-def _as_hard(point: OperatingPoint, hardest: OperatingPoint) -> bool:
+def _as_hard(point: OperatingSpan, hardest: OperatingSpan) -> bool:
     return demand(point) > 0.95 * demand(hardest)
 
 
@@ -117,8 +105,8 @@ def _test(
     name: str,
     data: IdentificationData,
     number: int,
-    point: OperatingPoint,
-    usable: Callable[[OperatingPoint], bool],
+    point: OperatingSpan,
+    usable: Callable[[OperatingSpan], bool],
 ) -> PredictionTest | None:
     """Set up one test; None when too little is left to learn from."""
     windows: list[IdentificationWindow] = []
@@ -154,12 +142,7 @@ def predict_rows(
     The observer follows the window's measurements up to the first row; from there on the model
     runs alone. Infinite where it runs away.
 
-    Parameters
-    ----------
-    model, test
-        What is to be predicted, by which model.
-    candidates
-        Standard coordinates (p,) of the parameters that each prediction is made with.
+    `candidates`: standard coordinates (p,) of the parameters that each prediction is made with.
     """
     window = test.window
     rows = window.minutes.take(window.minutes.good)

@@ -17,11 +17,6 @@ def preload_warning(data: IdentificationData) -> str:
     2 K from half an hour to ten minutes before) may lose its clearance. No law of the twin fits
     that, and it is how a runaway begins. Friction of fresh grease, the other thing that the twin
     may fail to fit, falls.
-
-    Parameters
-    ----------
-    data
-        What a fit was refused on.
     """
     for window in data.windows:
         minutes = window.minutes

@@ -15,28 +15,18 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NormalPrior:
-    """A normal prior of the standard coordinates, correlations included.
+    """A normal prior of the standard coordinates, correlations included."""
 
-    Attributes
-    ----------
-    mean
-        (p,) most probable coordinates; 0 is the literature's.
-    factor
-        (p, p) lower triangular with positive diagonal; the covariance is factor @ factor.T. The
-        literature's is the identity.
-    """
-
-    mean: FloatArray
+    mean: FloatArray  # (p,) most probable coordinates; 0 is the literature's
+    #: (p, p) lower triangular with positive diagonal; the covariance is factor @ factor.T. The
+    #: literature's is the identity.
     factor: FloatArray
 
     @classmethod
     def of(cls, mean: FloatArray, covariance: FloatArray) -> Self:
         """Make a prior of a mean (p,) and a positive definite covariance (p, p).
 
-        Raises
-        ------
-        ValueError
-            If the covariance is not positive definite, or shapes do not fit.
+        Raises `ValueError` if the covariance is not positive definite, or shapes do not fit.
         """
         p = mean.size
         if covariance.shape != (p, p):

@@ -45,7 +45,7 @@ class _Channel:
     """A sensor's good values in one window: where and what, in rows at known times.
 
     The sensor's lag is looked up by interpolation between the rows. Where every row is longer than
-    any lag, the row before is near enough by itself, and `since_before_s` says how far it is.
+    any lag, the row before alone is near enough, and `since_before_s` says how far it is.
     """
 
     name: str
@@ -125,28 +125,14 @@ class _Span:
 class IdentificationProblem:
     """Residuals, costs and derivatives of a model on a data set.
 
-    Parameters
-    ----------
-    model
-        What is identified.
-    data
-        Measured windows.
-    guess_z
-        (p,) parameters at which initial states are estimated from the first measurements of
-        windows that began warm; the prior's centre by default.
-    loss
-        Of the measurements. With a robust one, residuals are such that their squares are the loss.
-    cost
-        What searches make small.
-    prior
-        Of the parameters; the literature's by default.
+    `guess_z` (p,) parameters at which initial states are estimated from the first measurements of
+    windows that began warm; the prior's centre by default. `loss`: of the measurements. With a
+    robust one, residuals are such that their squares are the loss. `cost`: what searches make
+    small. `prior`: of the parameters; the literature's by default.
 
-    Attributes
-    ----------
-    parameter_count, unknown_count
-        p, and p plus one for the sensor lag plus the coordinates of unknown initial states.
-    evaluations
-        Simulations of the whole data set so far; one with its derivatives counts as one.
+    Attributes: `parameter_count`, `unknown_count`: p, and p plus one for the sensor lag plus the
+    coordinates of unknown initial states; `evaluations`: simulations of the whole data set so far;
+    one with its derivatives counts as one.
     """
 
     def __init__(
@@ -184,17 +170,9 @@ class IdentificationProblem:
 
     # ------------------------------------------------------------------ residuals
     def residuals(self, unknowns: FloatArray) -> FloatArray:
-        """Whitened residuals and prior residuals of many candidates.
+        """Whitened residuals (B, m + d) of candidates (B, d): m measurements, then priors.
 
-        Parameters
-        ----------
-        unknowns
-            (B, d).
-
-        Returns
-        -------
-        ndarray
-            (B, m + d): the m measurements first. NaN throughout where a simulation failed.
+        NaN throughout where a simulation failed.
         """
         batch = np.atleast_2d(unknowns)
         self.evaluations += len(batch)
@@ -231,17 +209,10 @@ class IdentificationProblem:
         return np.asarray(np.clip(lag_s, 0.0, _LONGEST_LAG_S))
 
     def jacobian(self, unknowns: FloatArray) -> FloatArray:
-        """Derivatives of `residuals`, from one simulation with its sensitivities per window.
+        """Derivatives (m + d, d) of `residuals` at (d,), from one simulation per window.
 
-        Parameters
-        ----------
-        unknowns
-            (d,) where. At a bound the derivative is the one towards the inside.
-
-        Returns
-        -------
-        ndarray
-            (m + d, d). Zero for the measurements of a window whose simulation fails.
+        At a bound the derivative is the one towards the inside. Zero for the measurements of a
+        window whose simulation fails.
         """
         self.evaluations += 1
         d, p = self.unknown_count, self.parameter_count
@@ -285,20 +256,10 @@ class IdentificationProblem:
 
     # ------------------------------------------------------------------ for a global search
     def costs(self, z: FloatArray) -> FloatArray:
-        """Cost of many parameter vectors, all other unknowns eliminated.
+        """Costs (B,) of parameters (B, p), other unknowns eliminated; infinite if one fails.
 
         Lag and initial states are eliminated by linear regression with their sensitivities at the
         prior's centre, priors included, so that a candidate is not blamed for them.
-
-        Parameters
-        ----------
-        z
-            (B, p).
-
-        Returns
-        -------
-        ndarray
-            (B,), infinite where a simulation failed.
         """
         batch = np.zeros((len(z), self.unknown_count))
         batch[:, : self.parameter_count] = z
@@ -306,17 +267,9 @@ class IdentificationProblem:
         return failed_as_infinite(costs)
 
     def reduced_residuals(self, z: FloatArray) -> FloatArray:
-        """Residuals whose sums of squares are `costs`: lag and initial states at their best.
+        """Residuals (B, m + d) whose sums of squares are `costs`, nuisance unknowns at their best.
 
-        Parameters
-        ----------
-        z
-            (B, p).
-
-        Returns
-        -------
-        ndarray
-            (B, m + d), the m measurements first. NaN where a simulation failed.
+        Of parameters (B, p); the m measurements first. NaN where a simulation failed.
         """
         p, m = self.parameter_count, self.measurement_count
         batch = np.zeros((len(z), self.unknown_count))

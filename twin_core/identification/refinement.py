@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from twin_core import TwinCoreError
 from twin_core.identification.problem import IdentificationProblem
 
 FloatArray = NDArray[np.float64]
@@ -23,29 +24,18 @@ _RELATIVE_GAIN = 1e-5
 _ITERATIONS = 40
 
 
-class IdentificationCancelled(Exception):  # noqa: N818 - not an error: it was asked for
+class IdentificationCancelled(TwinCoreError):  # noqa: N818 - not an error: it was asked for
     """The caller asked to stop."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Refined:
-    """A local optimum.
+    """A local optimum."""
 
-    Attributes
-    ----------
-    unknowns
-        (d,) within the bounds.
-    cost
-        Sum of squared residuals there, priors included.
-    iterations
-        Number of Jacobians.
-    converged
-        Whether the last steps gained next to nothing, rather than the iterations being used up.
-    """
-
-    unknowns: FloatArray
-    cost: float
-    iterations: int
+    unknowns: FloatArray  # (d,) within the bounds
+    cost: float  # sum of squared residuals there, priors included
+    iterations: int  # number of Jacobians
+    #: Whether the last steps gained next to nothing, rather than the iterations being used up.
     converged: bool
 
 
@@ -63,28 +53,9 @@ def refine(
     others move by the best of several damped Gauss-Newton steps, cut at the bounds. A step whose
     simulation fails is not taken.
 
-    Parameters
-    ----------
-    problem
-        What to minimise.
-    start
-        (d,) unknowns; moved inside the bounds if need be.
-    iterations
-        Largest number of Jacobians.
-    on_iteration
-        Called with the present cost at every iteration.
-    cancelled
-        Asked at every iteration.
-
-    Returns
-    -------
-    Refined or None
-        None if the simulation at the start fails.
-
-    Raises
-    ------
-    IdentificationCancelled
-        When ``cancelled`` says so.
+    `start` (d,) unknowns; moved inside the bounds if need be; `iterations`: largest number of
+    Jacobians; `on_iteration`: called with the present cost. Returns None if the simulation at the
+    start fails. Raises `IdentificationCancelled` when ``cancelled`` says so.
     """
     unknowns = np.clip(start, problem.lower, problem.upper)
     residuals = problem.residuals(unknowns)[0]
@@ -119,14 +90,7 @@ def damped_steps(
 ) -> FloatArray:
     """Return the ladder of trial points (6, d), from the full Gauss-Newton step to a short one.
 
-    Parameters
-    ----------
-    jacobian
-        (m, d) of full column rank.
-    residuals
-        (m,) at ``unknowns``.
-    unknowns, lower, upper
-        (d,).
+    `jacobian` (m, d) of full column rank; `residuals` (m,) at ``unknowns`` (d,).
     """
     gradient = jacobian.T @ residuals
     held = ((unknowns <= lower) & (gradient > 0.0)) | ((unknowns >= upper) & (gradient < 0.0))

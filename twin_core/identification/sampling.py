@@ -30,21 +30,9 @@ _PLAUSIBLE_SD = 5.0
 def posterior_samples(
     problem: IdentificationProblem, optimum: FloatArray, count: int, seed: int
 ) -> FloatArray:
-    """Draw samples of the standard coordinates around the optimum.
+    """Draw samples (count, p) of the coordinates around the optimum (d,), within the bounds.
 
-    Parameters
-    ----------
-    problem, optimum
-        The problem and its best unknowns (d,).
-    count
-        Even number of samples; they come in antithetic pairs of perturbations.
-    seed
-        Same seed, same samples.
-
-    Returns
-    -------
-    ndarray
-        (count, p), within the bounds.
+    They come in antithetic pairs of perturbations, so `count` is even. Same seed, same samples.
     """
     if count == 0:
         return np.empty((0, problem.parameter_count))

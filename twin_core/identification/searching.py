@@ -10,6 +10,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from twin_core import TwinCoreError
 from twin_core.identification.costs import failed_as_infinite
 from twin_core.identification.problem import IdentificationProblem
 
@@ -18,7 +19,7 @@ FloatArray = NDArray[np.float64]
 _SEARCH_Z = 3.0
 
 
-class SearchEnd(Exception):  # noqa: N818 - not an error, a search is over
+class SearchEnd(TwinCoreError):  # noqa: N818 - not an error, a search is over
     """The budget is used up, or what was searched for is found."""
 
 
@@ -47,20 +48,11 @@ Search = Callable[[SearchSpace, int], None]
 class IdentificationSpace:
     """The parameters of an identification problem as a `SearchSpace`.
 
-    Parameters
-    ----------
-    problem
-        What is searched.
-    budget
-        Points that may be evaluated.
-    after_batch
-        Called after every batch; what it raises ends the search.
+    `budget`: points that may be evaluated; `after_batch`: called after every batch; what it raises
+    ends the search.
 
-    Attributes
-    ----------
-    evaluations, best_z, best_cost
-        Points so far, and the best of them: (p,) standard coordinates, cost. The prior's centre
-        until a point has a finite cost.
+    Attributes: `evaluations`, `best_z`, `best_cost`: points so far, and the best of them: (p,)
+    standard coordinates, cost. The prior's centre until a point has a finite cost.
     """
 
     def __init__(

@@ -23,27 +23,15 @@ _LEAST_GAIN = 1e-3
 class StoppingCriteria:
     """When a search ends before its budget is used up; what is None does not count.
 
-    Attributes
-    ----------
-    target
-        The best fitness is at most this.
-    stagnation_sweeps
-        Over this many sweeps the best fitness fell by less than 0.1 %. NOA explores early and
-        settles late, so a small number ends it before it has begun to converge.
-    spread
-        In every coordinate the members lie within this share of the box.
-    time_is_up
-        Asked after every sweep; for a limit of wall time, which only the caller can measure.
-
-    Raises
-    ------
-    ValueError
-        For a number of sweeps or a spread that is not positive.
+    Raises `ValueError` for a number of sweeps or a spread that is not positive.
     """
 
-    target: float | None = None
+    target: float | None = None  # the best fitness is at most this
+    #: Over this many sweeps the best fitness fell by less than 0.1 %. NOA explores early and
+    #: settles late, so a small number ends it before it has begun to converge.
     stagnation_sweeps: int | None = None
-    spread: float | None = None
+    spread: float | None = None  # in every coordinate the members lie within this share of the box
+    #: Asked after every sweep; for a limit of wall time, which only the caller can measure.
     time_is_up: Callable[[], bool] | None = None
 
     def __post_init__(self) -> None:
@@ -87,21 +75,10 @@ def run_search(
 ) -> StopReason:
     """Run a search, new or resumed, until a criterion ends it.
 
-    Parameters
-    ----------
-    search
-        Its state is up to date whenever `after_sweep` is called.
-    objective
-        Fitness (n,) of a batch of candidates (n, d); NaN or infinite where it failed.
-    criteria
-        When to end.
-    after_sweep
-        For progress, saving and cancellation: what it raises ends the search, which can be resumed.
-
-    Returns
-    -------
-    str
-        Which criterion ended it.
+    `search`: its state is up to date whenever `after_sweep` is called; `objective`: fitness (n,) of
+    a batch of candidates (n, d); NaN or infinite where it failed; `after_sweep`: for progress,
+    saving and cancellation: what it raises ends the search, which can be resumed. Returns which
+    criterion ended it.
     """
     while (reason := stop_reason(search, criteria)) is None:
         search.tell(objective(search.ask()))

@@ -40,24 +40,13 @@ _LINEAR, _SOFT_L1, _HUBER = 0, 1, 2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Whitening:
-    """Gains of the whitening filter for one sensor at given times.
+    """Gains of the whitening filter for one sensor at given times."""
 
-    Attributes
-    ----------
-    decay
-        (n,) what is left of the slow deviation since the time before; 0 at the first.
-    gain
-        (n, 2) Kalman gains of slow deviation and offset.
-    scale
-        (n,) one over the standard deviation of each innovation.
-    loss
-        Of the whitened residuals.
-    """
-
+    #: (n,) what is left of the slow deviation since the time before; 0 at the first.
     decay: FloatArray
-    gain: FloatArray
-    scale: FloatArray
-    loss: Loss = "linear"
+    gain: FloatArray  # (n, 2) Kalman gains of slow deviation and offset
+    scale: FloatArray  # (n,) one over the standard deviation of each innovation
+    loss: Loss = "linear"  # of the whitened residuals
 
     def apply(self, residuals: FloatArray) -> FloatArray:
         """Whiten residuals (..., n) in K; the result has the same shape."""
@@ -104,21 +93,9 @@ def whitening(
 ) -> Whitening:
     """Compute the whitening filter for the times of a sensor's good values.
 
-    Parameters
-    ----------
-    time_s
-        (n,) ascending times in s.
-    white_k, slow_k, offset_k
-        Standard deviations in K.
-    slow_s
-        Correlation time of the slow deviation in s.
-    loss
-        Of the whitened residuals.
-
-    Raises
-    ------
-    ValueError
-        If the loss is unknown.
+    `time_s` (n,) ascending times in s; `white_k`, `slow_k`, `offset_k`: standard deviations in K;
+    `slow_s`: correlation time of the slow deviation in s. Raises `ValueError` if the loss is
+    unknown.
     """
     if loss not in get_args(Loss):
         raise ValueError(f"loss is {loss!r}, expected one of {', '.join(get_args(Loss))}")

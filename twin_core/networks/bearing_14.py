@@ -64,36 +64,21 @@ _FILL_CAVITY = 0.40
 
 @dataclass(frozen=True, slots=True)
 class Bearing14:
-    """Capacities and resistances of the network, computed once from a bearing.
+    """Capacities and resistances of the network, computed once from a bearing."""
 
-    Parameters
-    ----------
-    capacity_j_k
-        Per node, in node order.
-    constant_k_w
-        Resistances of the constant edges by their pair of node numbers (14: ambient).
-    half_balls_k_w
-        Half of the resistance of all balls, in each contact edge.
-    convection_k_w
-        L / (k S) by pair: the resistance of a convective edge at Nu = 1.
-    inner_sensor, outer_sensor
-        Weights by node number: ring bore, outer surface of the outer ring.
-    half_inner_ring_k_w
-        From the inner ring to its bore.
-    shaft_bars_k_w
-        L / (k S) of the left and the centre part of the shaft, by node number.
-    seat_capacity_j_k
-        Of the piece of shaft inside the inner ring, which the paper's nodes do not contain.
-    """
-
-    capacity_j_k: tuple[float, ...]
+    capacity_j_k: tuple[float, ...]  # per node, in node order
+    #: Resistances of the constant edges by their pair of node numbers (14: ambient).
     constant_k_w: dict[tuple[int, int], float]
-    half_balls_k_w: float
+    half_balls_k_w: float  # half of the resistance of all balls, in each contact edge
+    #: L / (k S) by pair: the resistance of a convective edge at Nu = 1.
     convection_k_w: dict[tuple[int, int], float]
+    #: Weights by node number: ring bore, outer surface of the outer ring.
     inner_sensor: dict[int, float]
     outer_sensor: dict[int, float]
-    half_inner_ring_k_w: float
+    half_inner_ring_k_w: float  # from the inner ring to its bore
+    #: L / (k S) of the left and the centre part of the shaft, by node number.
     shaft_bars_k_w: dict[int, float]
+    #: Of the piece of shaft inside the inner ring, which the paper's nodes do not contain.
     seat_capacity_j_k: float
 
 

@@ -89,25 +89,16 @@ def slope_functions(rate, step, out):  # type: ignore[no-untyped-def]
 
 @compiled
 def basis_tangents(  # type: ignore[no-untyped-def]
-    net,
-    capacity,
-    coefficient,
-    rate,
-    modes,
-    speed,
-    load,
-    given,
-    turning,
-    mode_tangent,
-    outer_tangent,
+    net, capacity, coefficient, rate, modes, point, given, turning, mode_tangent, outer_tangent
 ):
-    """Derivatives of an operating point's modes.
+    """Derivatives of an operating point's modes; `point` is its speed and load.
 
     Fills turning (n, n', directions), first with E, whose diagonal is what the rates do, then off
     it with the coefficients of the modes' derivatives; mode_tangent (n, nodes, directions) and
     outer_tangent (rows, nodes, directions), that of what acts from outside. Gives the pairs of
     nearly equal rates and their E (pairs, directions).
     """
+    speed, load = point
     count, width = modes.shape
     turning[:] = 0.0
     outer_tangent[:] = 0.0

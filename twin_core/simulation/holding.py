@@ -30,28 +30,54 @@ from twin_core.simulation.stability import loop_gain
 
 
 class HeldPoint(NamedTuple):
-    """A network with its parameters, at one operating point.
+    """A network with its parameters, at one operating point."""
 
-    Attributes
-    ----------
-    friction_kind, friction, point
-        The law, its coefficients, and what `friction_at_point` gives.
-    bounded
-        Whether temperatures above TEMPERATURE_LIMIT_C have run away.
-    lubricant, share
-        The node whose temperature sets the friction, and the nodes' shares (nodes,) of its heat.
-    film_node, film_law
-        See `twin_core.simulation.assembly.film_edges`.
-    """
-
+    #: The law, its coefficients, and what `friction_at_point` gives.
     friction_kind: int
     friction: NDArray[np.float64]
     point: NDArray[np.float64]
-    bounded: bool
+    bounded: bool  # whether temperatures above TEMPERATURE_LIMIT_C have run away
+    #: The node whose temperature sets the friction, and the nodes' shares (nodes,) of its heat.
     lubricant: int
     share: NDArray[np.float64]
+    #: See `twin_core.simulation.assembly.film_edges`.
     film_node: NDArray[np.int64]
     film_law: NDArray[np.float64]
+
+
+class Grid(NamedTuple):
+    """Operating points (points,), and for how long each is held."""
+
+    speed_rpm: NDArray[np.float64]
+    load_n: NDArray[np.float64]
+    ambient_c: float
+    horizon_s: float
+
+
+class Crossable(NamedTuple):
+    """Sensors and their limits."""
+
+    rows: NDArray[np.float64]  # (sensors, nodes) the sensors' weights
+    limit_c: NDArray[np.float64]  # (B, sensors, limits) what temperatures are compared with
+    #: (B, points, sensors, limits) what is added to them before: it builds up from zero as a
+    #: first-order process of the time constant `slow_s` spreads.
+    deviation_k: NDArray[np.float64]
+    slow_s: float
+
+
+class HeldResult(NamedTuple):
+    """What becomes of held points."""
+
+    #: (B, points, sensors) steady temperatures. NaN: there is none within TEMPERATURE_LIMIT_C; what
+    #: had been crossed by then stays.
+    steady_c: NDArray[np.float64]
+    #: (B, points, sensors, limits) times in s at which they first reach the limits, infinite if not
+    #: within the horizon.
+    crossing_s: NDArray[np.float64]
+    gain: NDArray[np.float64]  # (B, points) the steady states' loop gains; infinite without one
+    #: (B, points, sensors) how much hotter the sensors may become until the gain is 1, see
+    #: `twin_core.simulation.stability.loop_gain`; 0 without a steady state.
+    room_k: NDArray[np.float64]
 
 
 HOLD_GROWTH = 0.1
@@ -63,45 +89,20 @@ STEADY_ITERATIONS = 20
 
 
 @compiled
-def hold_points_range(  # type: ignore[no-untyped-def]
-    net,
-    values,
-    initial,
-    revolutions,
-    disturbance,
-    fading,
-    ambient,
-    speed,
-    load,
-    rows,
-    limit,
-    deviation,
-    slow,
-    horizon,
-    start,
-    stop,
-    steady,
-    crossing,
-    gain,
-    room,
-):
+def hold_points_range(net, values, starts, grid, limits, start, stop, held):  # type: ignore[no-untyped-def]
     """Hold each of many operating points, for candidates start..stop-1 of a batch.
 
-    `disturbance` (B, nodes) is extra heat that fades at the rate `fading`. `rows` (sensors, nodes)
-    are the sensors' weights, `limit` (B, sensors, limits) what their temperatures are compared
-    with, once `deviation` (B, points, sensors, limits) has been added, which builds up from zero
-    as a first-order process of the time constant `slow` spreads. Fills `steady` (B, points,
-    sensors) with the steady temperatures and `crossing` (B, points, sensors, limits) with the
-    times in s at which they first reach the limits, infinite if not within the horizon. NaN steady
-    temperatures mean that there is no steady state within TEMPERATURE_LIMIT_C; what had been
-    crossed by then stays. Fills `gain` (B, points) with the steady states' loop gains and `room`
-    (B, points, sensors) with how much hotter the sensors may become until it is 1, see
-    `twin_core.simulation.stability.loop_gain`; infinite and 0 without a steady state.
+    `starts` are `twin_core.simulation.kernels.Starts`; `grid`, `limits` and `held`, which is
+    filled, are `Grid`, `Crossable` and `HeldResult`.
 
     Steps grow with the time since the start: nothing but slow modes is left then.
     """
+    initial, revolutions, disturbance, fading = starts
+    speed, load, ambient, horizon = grid
+    rows, limit, deviation, slow = limits
+    steady, crossing, gain, room = held
     sensors = rows.shape[0]
-    limits = limit.shape[2]
+    levels = limit.shape[2]
     now = np.empty(sensors)
     _, copper = count_losses(net.edge_kind)
     bounded = copper or net.friction_kind != LINEAR
@@ -111,7 +112,7 @@ def hold_points_range(  # type: ignore[no-untyped-def]
         for cell in range(speed.size):
             n, f = speed[cell], load[cell]
             point = friction_at_point(net.friction_kind, friction, n, f)
-            held = HeldPoint(
+            at = HeldPoint(
                 net.friction_kind,
                 friction,
                 point,
@@ -122,10 +123,10 @@ def hold_points_range(  # type: ignore[no-untyped-def]
                 film_law,
             )
             temperature = initial[member].copy()
-            turned = revolutions
+            turned = revolutions[member]
             for s in range(sensors):
                 now[s] = dot(rows[s], temperature)
-                for k in range(limits):
+                for k in range(levels):
                     over = now[s] >= limit[member, s, k]
                     crossing[member, cell, s, k] = 0.0 if over else math.inf
             rate, modes, inverse, outside = decompose(net, capacity, coefficient, n, f)
@@ -135,21 +136,11 @@ def hold_points_range(  # type: ignore[no-untyped-def]
             for k in range(rate.size):
                 stable = stable and (not copper or rate[k] > 0.0)
             alive = hold_point(
-                held,
-                rate,
-                modes,
-                inverse,
-                times(level, outside),
-                ambient,
-                disturbance[member],
-                fading,
-                n,
-                turned,
-                horizon,
-                rows,
-                limit[member],
-                deviation[member, cell],
-                slow,
+                at,
+                (rate, modes, inverse),
+                (times(level, outside), ambient, disturbance[member], fading),
+                (n, turned, horizon),
+                (rows, limit[member], deviation[member, cell], slow),
                 temperature,
                 crossing[member, cell],
             )
@@ -170,7 +161,7 @@ def hold_points_range(  # type: ignore[no-untyped-def]
                         to_outside[i] += outer[b, i]
                         from_outside[i] += outer[b, i] * (level[b] - ambient)
                 alive = polish_steady_state(
-                    held,
+                    at,
                     matrix,
                     to_outside,
                     from_outside,
@@ -183,7 +174,7 @@ def hold_points_range(  # type: ignore[no-untyped-def]
             room[member, cell] = 0.0
             if alive:
                 gain[member, cell] = loop_gain(
-                    held, matrix, ambient, turned, rows, temperature, room[member, cell]
+                    at, matrix, ambient, turned, rows, temperature, room[member, cell]
                 )
             for s in range(sensors):
                 steady[member, cell, s] = dot(rows[s], temperature) if alive else math.nan
@@ -199,30 +190,19 @@ def dot(a, b):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def hold_point(  # type: ignore[no-untyped-def]
-    held,
-    rate,
-    modes,
-    inverse,
-    ambient_input,
-    ambient,
-    disturbance,
-    fading,
-    speed,
-    revolutions,
-    horizon,
-    rows,
-    limit,
-    deviation,
-    slow,
-    temperature,
-    crossing,
-):
+def hold_point(held, basis, acting, run, looked_at, temperature, crossing):  # type: ignore[no-untyped-def]
     """Advance `temperature` over the horizon at one point and note when limits are crossed.
 
-    As `simulate_range`, but only the temperatures that matter on the way are computed.
+    As `simulate_range`, but only the temperatures that matter on the way are computed. `held` is a
+    `HeldPoint`, `basis` (rate, modes, inverse) what `decompose` gives, `acting` what acts from
+    outside (modal input, ambient, disturbance and the rate at which it fades), `run` speed,
+    revolutions and horizon, `looked_at` what a `Crossable` has of this member and point.
     """
     kind, friction, point, bounded, lubricant, share, film_node, film_law = held
+    rate, modes, inverse = basis
+    ambient_input, ambient, disturbance, fading = acting
+    speed, revolutions, horizon = run
+    rows, limit, deviation, slow = looked_at
     count = rate.size
     sensors, limits = limit.shape
     films = film_node.size

@@ -48,6 +48,7 @@ from twin_core.simulation.laws import (
 __all__ = [
     "UNKNOWN_BASIS",
     "Basis",
+    "Starts",
     "bind_network",
     "conductance_matrix",
     "decompose",
@@ -61,6 +62,7 @@ __all__ = [
     "loss_heats_w",
     "simulate_range",
 ]
+from twin_core.simulation.linear import fill_product
 from twin_core.simulation.vectors import LANES, STRIDE, advance, combine
 
 MAX_STEP_S = 60.0
@@ -75,19 +77,21 @@ FRESH_LOAD_FRACTION = 0.05
 
 
 class Basis(NamedTuple):
-    """Modes of the members' first operating points, see `modal_basis`.
+    """Modes of the members' first operating points, see `modal_basis`."""
 
-    Attributes
-    ----------
-    rate
-        (B, nodes).
-    modes, inverse
-        (B, nodes, nodes).
-    """
-
-    rate: NDArray[np.float64]
+    rate: NDArray[np.float64]  # (B, nodes)
+    #: (B, nodes, nodes).
     modes: NDArray[np.float64]
     inverse: NDArray[np.float64]
+
+
+class Starts(NamedTuple):
+    """How the members of a batch begin."""
+
+    temperatures_c: NDArray[np.float64]  # (B, nodes)
+    revolutions: NDArray[np.float64]  # (B,) since greasing
+    disturbance_w: NDArray[np.float64]  # (B, nodes) extra heat, which fades
+    fading: float  # the rate at which it does, in 1/s
 
 
 UNKNOWN_BASIS = Basis(np.empty((0, 0)), np.empty((0, 0, 0)), np.empty((0, 0, 0)))
@@ -164,7 +168,7 @@ def emit(modes, path, begin, end, limit, out):  # type: ignore[no-untyped-def]
     """
     if begin >= end:
         return -1
-    np.dot(path[begin:end], modes, out[begin:end])
+    fill_product(path[begin:end], modes, out[begin:end])
     count = modes.shape[1]
     square = 0.0
     for row in range(begin, end):
@@ -215,34 +219,22 @@ def set_outside(boundary_input, ambient, given, row, heat, begin, end):  # type:
 
 @compiled
 def simulate_range(  # type: ignore[no-untyped-def]
-    net,
-    values,
-    ahead,
-    initial,
-    revolutions,
-    disturbance,
-    fading,
-    ends,
-    start,
-    stop,
-    failed,
-    out,
-    basis,
+    net, values, ahead, starts, ends, basis, start, stop, failed, out
 ):
     """Simulate members start..stop-1 of a batch, each independent of all others.
 
     `ahead` are `twin_core.simulation.profile.OperatingProfiles`: one for each member, or one for
-    all. `disturbance` (B, nodes) is an extra heat in W at the first row that fades at the rate
-    `fading` in 1/s and ends at the row `ends` (B,). Fills out (B, n, nodes) with temperatures at
-    the rows' instants, NaN behind the rows of a member; and failed (B,) with -1, or with the row
-    that could not be reached: all of such a member is NaN. `basis` is what `modal_basis` gave at
-    the members' first operating points, or `UNKNOWN_BASIS`.
+    all. The disturbance of `starts` ends at the row `ends` (B,). Fills out (B, n, nodes) with
+    temperatures at the rows' instants, NaN behind the rows of a member; and failed (B,) with -1, or
+    with the row that could not be reached: all of such a member is NaN. `basis` is what
+    `modal_basis` gave at the members' first operating points, or `UNKNOWN_BASIS`.
 
     Within a step only the temperatures matter that the heat depends on, the *active* ones: of the
     lubricant and of the nodes with films. The step of the coordinates y is then a diagonal decay
     plus the inputs (friction, films, ambient, disturbance) and their changes, each times what it
     does to every y in one step; the active temperatures follow by products prepared also.
     """
+    initial, revolutions, disturbance, fading = starts
     count = net.capacity.size
     width = padded(count, LANES)
     films = 0

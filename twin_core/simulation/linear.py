@@ -40,10 +40,9 @@ def solve_in_place(matrix, columns):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def product(first, second):  # type: ignore[no-untyped-def]
-    """Return first (n, k) @ second (k, m), by rows: for matrices of a dozen rows."""
+def fill_product(first, second, result):  # type: ignore[no-untyped-def]
+    """Fill result (n, m) with first (n, k) @ second (k, m), by rows: for a dozen columns."""
     inner, width = second.shape
-    result = np.empty((first.shape[0], width))
     odd = inner % 2
     for i in range(first.shape[0]):
         factor = first[i, 0] if odd else 0.0
@@ -54,6 +53,13 @@ def product(first, second):  # type: ignore[no-untyped-def]
             one, other = first[i, k], first[i, k + 1]
             for j in range(width):
                 result[i, j] += one * second[k, j] + other * second[k + 1, j]
+
+
+@compiled
+def product(first, second):  # type: ignore[no-untyped-def]
+    """Return first (n, k) @ second (k, m), by rows: for matrices of a dozen rows."""
+    result = np.empty((first.shape[0], second.shape[1]))
+    fill_product(first, second, result)
     return result
 
 

@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from twin_core.profiles import OperatingPoint
+from twin_core import TwinCoreError
+from twin_core.profiles import Point
 from twin_core.simulation.compiling import kernel_array
 
 
@@ -18,25 +19,15 @@ class OperatingProfile:
     The last row therefore only marks the end: simulated temperatures are instantaneous values at
     ``time_s``, the first of them being the initial state.
 
-    Parameters
-    ----------
-    time_s
-        Shape (n,), strictly increasing, any spacing.
-    speed_rpm, load_n, ambient_c
-        Shape (n,) each. The sense of rotation does not matter; a negative load counts as zero.
-    inputs
-        Shape (n, k): the inputs of a network that has any, in its order; by default k is 0.
-
-    Raises
-    ------
-    ValueError
-        If shapes differ, a value is not finite or time does not increase.
+    Raises `ValueError` if shapes differ, a value is not finite or time does not increase.
     """
 
-    time_s: NDArray[np.float64]
+    time_s: NDArray[np.float64]  # shape (n,), strictly increasing, any spacing
+    #: Shape (n,) each. The sense of rotation does not matter; a negative load counts as zero.
     speed_rpm: NDArray[np.float64]
     load_n: NDArray[np.float64]
     ambient_c: NDArray[np.float64]
+    #: Shape (n, k): the inputs of a network that has any, in its order; by default k is 0.
     inputs: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 0)))
 
     def __post_init__(self) -> None:
@@ -73,16 +64,16 @@ class OperatingProfile:
         """Number of rows, n."""
         return int(self.time_s.size)
 
-    def point(self, row: int) -> OperatingPoint:
+    def point(self, row: int) -> Point:
         """Return the operating point of a row."""
-        return OperatingPoint(
+        return Point(
             float(self.speed_rpm[row]),
             float(self.load_n[row]),
             float(self.ambient_c[row]),
             tuple(self.inputs[row].tolist()),
         )
 
-    def steps(self) -> Iterator[tuple[OperatingPoint, float]]:
+    def steps(self) -> Iterator[tuple[Point, float]]:
         """Yield the operating point of every row but the last, and for how many s it holds."""
         for row, step_s in enumerate(np.diff(self.time_s).tolist()):
             yield self.point(row), step_s
@@ -102,22 +93,15 @@ class OperatingProfiles(NamedTuple):
     """Profiles of many machines: every array has one row of rows per machine.
 
     Nothing is checked here: a machine without finite numbers has no result, and harms no other.
-
-    Attributes
-    ----------
-    time_s, speed_rpm, load_n, ambient_c
-        (machines, n) as in `OperatingProfile`.
-    inputs
-        (machines, n, k) the inputs of a network that has any.
-    rows
-        (machines,) how many of the rows are the machine's; what follows them does not count.
     """
 
+    #: (machines, n) as in `OperatingProfile`.
     time_s: NDArray[np.float64]
     speed_rpm: NDArray[np.float64]
     load_n: NDArray[np.float64]
     ambient_c: NDArray[np.float64]
-    inputs: NDArray[np.float64]
+    inputs: NDArray[np.float64]  # (machines, n, k) the inputs of a network that has any
+    #: (machines,) how many of the rows are the machine's; what follows them does not count.
     rows: NDArray[np.int64]
 
     @property
@@ -129,10 +113,7 @@ class OperatingProfiles(NamedTuple):
     def of(cls, profiles: Sequence[OperatingProfile]) -> "OperatingProfiles":
         """Put profiles together, of any lengths, all with the same inputs.
 
-        Raises
-        ------
-        ValueError
-            If there is none, or their numbers of inputs differ.
+        Raises `ValueError` if there is none, or their numbers of inputs differ.
         """
         if len(profiles) == 1:
             one = profiles[0]
@@ -174,14 +155,9 @@ class OperatingProfiles(NamedTuple):
     ) -> "OperatingProfiles":
         """Hold the operating point of every machine over a horizon.
 
-        Parameters
-        ----------
-        speed_rpm, load_n, ambient_c
-            (machines,) each.
-        inputs
-            (machines, k) the network's inputs, if it has any.
-        horizon_s, row_s
-            How long, and the spacing of the rows in s; the last row is the end of the horizon.
+        `speed_rpm`, `load_n`, `ambient_c` (machines,) each; `inputs` (machines, k) the network's
+        inputs, if it has any; `horizon_s`, `row_s`: how long, and the spacing of the rows in s; the
+        last row is the end of the horizon.
         """
         points = np.stack([np.asarray(part, np.float64) for part in (speed_rpm, load_n, ambient_c)])
         time_s = np.append(np.arange(0.0, horizon_s, row_s), horizon_s)
@@ -211,44 +187,23 @@ class OperatingProfiles(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trajectory:
-    """Simulated temperatures of all state nodes.
+    """Simulated temperatures of all state nodes."""
 
-    Parameters
-    ----------
-    time_s
-        Shape (n,), as in the profile.
-    temperatures_c
-        Shape (n, nodes): instantaneous temperatures at ``time_s``.
-    revolutions
-        Shape (n,): revolutions of the shaft since the bearing was last greased.
-    """
-
-    time_s: NDArray[np.float64]
+    time_s: NDArray[np.float64]  # shape (n,), as in the profile
+    #: Shape (n, nodes): instantaneous temperatures at ``time_s``.
     temperatures_c: NDArray[np.float64]
+    #: Shape (n,): revolutions of the shaft since the bearing was last greased.
     revolutions: NDArray[np.float64]
 
 
-class SimulationError(ValueError):
+class SimulationError(TwinCoreError, ValueError):
     """A simulation did not stay finite: the model ran away or its parameters are unusable."""
 
 
 def total_revolutions(
     profile: OperatingProfile, start: float | NDArray[np.float64] = 0.0
 ) -> NDArray[np.float64]:
-    """Return the revolutions counted at each row of *profile*.
-
-    Parameters
-    ----------
-    profile
-        n rows.
-    start
-        Revolutions at the first row, scalar or shape (B,).
-
-    Returns
-    -------
-    ndarray
-        Shape (n,) or (B, n).
-    """
+    """Revolutions (n,) or (B, n) counted at each row of a profile, from `start`, scalar or (B,)."""
     turned = np.zeros(profile.size)
     steps = profile.time_s[1:] - profile.time_s[:-1]
     np.cumsum(np.abs(profile.speed_rpm[:-1]) * steps / 60.0, out=turned[1:])
@@ -274,19 +229,9 @@ def hold_operating_point(
     no value moves by more than the tolerance: steps stay where they are and a ramp becomes a
     staircase of steps no higher than twice the tolerance.
 
-    Parameters
-    ----------
-    profile
-        n rows.
-    speed_fraction, speed_tolerance_rpm
-        Tolerance of speed: fraction of the mean plus a constant.
-    load_fraction, load_tolerance_n
-        Tolerance of load also.
-
-    Returns
-    -------
-    OperatingProfile
-        n rows at the same times, ambient and inputs unchanged.
+    `profile`: n rows; `speed_fraction`, `speed_tolerance_rpm`: tolerance of speed: fraction of the
+    mean plus a constant; `load_fraction`, `load_tolerance_n`: tolerance of load also. Returns n
+    rows at the same times, ambient and inputs unchanged.
     """
     speed, load = np.abs(profile.speed_rpm), np.maximum(profile.load_n, 0.0)
     if (speed == speed[0]).all() and (load == load[0]).all():

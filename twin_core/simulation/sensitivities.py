@@ -13,20 +13,13 @@ from twin_core.simulation.tangents import tangent_kernel
 
 
 class Sensitivities(NamedTuple):
-    """What :func:`simulate_sensitivities` gives.
+    """What :func:`simulate_sensitivities` gives."""
 
-    Parameters
-    ----------
-    temperatures_c
-        Shape (n, r): temperatures of the r outputs at the profile's rows.
-    by_value
-        Shape (n, r, p): their derivatives by the parameters, in K per the parameter's unit.
-    by_initial
-        Shape (n, r, e): by the coordinates of the initial temperatures.
-    """
-
+    #: Shape (n, r): temperatures of the r outputs at the profile's rows.
     temperatures_c: NDArray[np.float64]
+    #: Shape (n, r, p): their derivatives by the parameters, in K per the parameter's unit.
     by_value: NDArray[np.float64]
+    #: Shape (n, r, e): by the coordinates of the initial temperatures.
     by_initial: NDArray[np.float64]
 
 
@@ -46,31 +39,13 @@ def simulate_sensitivities(
     discretisation of the sensitivity equations: they agree with differences of simulations as far
     as those are exact. All together they cost a few simulations, whatever their number.
 
-    Parameters
-    ----------
-    model
-        The model.
-    values
-        Shape (p,), physical units; bounds are not enforced.
-    profile
-        n rows.
-    initial_temperatures_c
-        Shape (nodes,), at the first row.
-    revolutions
-        Revolutions since greasing at the first row.
-    initial_directions
-        Shape (nodes, e): what one unit of each coordinate of the initial state adds to the initial
-        temperatures; default none.
-    outputs
-        Shape (r, nodes): weights of the nodes in each output, such as
-        :meth:`~twin_core.network_model.NetworkModel.sensor_matrix`; default the nodes themselves.
-
-    Raises
-    ------
-    SimulationError
-        If the temperatures do not stay finite.
-    ValueError
-        If a shape is wrong.
+    `values` (p,), physical units; bounds are not enforced; `initial_temperatures_c` (nodes,), at
+    the first row; `revolutions` since greasing at the first row; `initial_directions` (nodes, e):
+    what one unit of each coordinate of the initial state adds to the initial temperatures; default
+    none; `outputs` (r, nodes): weights of the nodes in each output, such as
+    :meth:`~twin_core.network_model.NetworkModel.sensor_matrix`; default the nodes themselves.
+    Raises `SimulationError` if the temperatures do not stay finite, `ValueError` if a shape is
+    wrong.
     """
     nodes, size = len(model.node_names), model.parameters.size
     vector = kernel_array(values)
@@ -89,14 +64,11 @@ def simulate_sensitivities(
             raise ValueError(f"{name} has shape {array.shape}, expected {expected}")
     out = np.empty((profile.size, len(rows)))
     derivative = np.empty((profile.size, len(rows), size + directions.shape[1]))
+    inputs = inputs_of(model, profile)
     failed = tangent_kernel(
         model.compiled,
         vector,
-        profile.time_s,
-        profile.speed_rpm,
-        profile.load_n,
-        profile.ambient_c,
-        inputs_of(model, profile),
+        (profile.time_s, profile.speed_rpm, profile.load_n, profile.ambient_c, inputs),
         initial,
         directions,
         float(revolutions),

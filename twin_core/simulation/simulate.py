@@ -1,7 +1,6 @@
 """Simulate one parameter vector or many, and find the state a constant point leads to."""
 
-import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -10,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from twin_core.network import CompiledNetwork, FrictionKind
 from twin_core.network_model import NetworkModel
-from twin_core.profiles import OperatingPoint
+from twin_core.profiles import Point
 from twin_core.simulation import kernels
 from twin_core.simulation.compiling import kernel_array
 from twin_core.simulation.profile import (
@@ -34,30 +33,14 @@ def simulate(
     initial_temperatures_c: ArrayLike,
     revolutions: float = 0.0,
 ) -> Trajectory:
-    """Simulate one parameter vector.
+    """Simulate one parameter vector (p,) from temperatures (nodes,); bounds are not enforced.
 
     Exact zero-order hold with one corrector for the temperature-dependent heat and films; rows
-    longer than 60 s are subdivided.
+    longer than 60 s are subdivided. `revolutions` since greasing, like the temperatures, at the
+    first row.
 
-    Parameters
-    ----------
-    model
-        The model.
-    values
-        Shape (p,), physical units; bounds are not enforced.
-    profile
-        n rows.
-    initial_temperatures_c
-        Shape (nodes,), at the first row.
-    revolutions
-        Revolutions since greasing at the first row.
-
-    Raises
-    ------
-    SimulationError
-        If the temperatures do not stay finite and below 2000 degC.
-    ValueError
-        If a shape or a value is wrong.
+    Raises `SimulationError` if the temperatures do not stay finite and below 2000 degC,
+    `ValueError` if a shape or a value is wrong.
     """
     parameters = _values(model, values, 1)
     initial = _finite("initial_temperatures_c", initial_temperatures_c)
@@ -82,57 +65,37 @@ def simulate(
 
 def advance(
     model: NetworkModel,
-    values: NDArray[np.float64],
-    point: OperatingPoint,
-    duration_s: float,
-    temperatures_c: NDArray[np.float64],
-    revolutions: float,
-) -> tuple[NDArray[np.float64], float]:
-    """Hold an operating point for a time: what `simulate` gives for its two rows, in less time.
+    values: ArrayLike,
+    points: Sequence[Point],
+    durations_s: Sequence[float],
+    temperatures_c: ArrayLike,
+    revolutions: ArrayLike,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Hold machines at an operating point each for a time > 0, as `simulate` does for two rows.
 
-    Parameters
-    ----------
-    model
-        The model.
-    values
-        Shape (p,), physical units.
-    point
-        Where the machine runs.
-    duration_s
-        For how long, positive.
-    temperatures_c
-        Shape (nodes,), at the beginning.
-    revolutions
-        Revolutions since greasing at the beginning.
-
-    Returns
-    -------
-    tuple of ndarray and float
-        The temperatures (nodes,) and the revolutions at the end.
-
-    Raises
-    ------
-    SimulationError
-        If the temperatures do not stay finite and below 2000 degC.
-    ValueError
-        If a shape is wrong, or the operating point is not finite.
+    `values` (n, p), `points` and `durations_s` (n,), `temperatures_c` (n, nodes), `revolutions`
+    (n,). Returns temperatures and revolutions at the ends; the temperatures of a machine are NaN
+    where they do not stay finite and below 2000 degC, or where its point is not finite. Raises
+    `ValueError` if a shape is wrong.
     """
-    parameters, initial = _values(model, values, 1), kernel_array(temperatures_c)
-    if initial.shape != model.compiled.capacity.shape:
+    parameters, initial = _values(model, values, 2), kernel_array(temperatures_c)
+    size = len(parameters)
+    if initial.shape != (size, model.compiled.capacity.size):
         raise ValueError(f"temperatures_c has shape {initial.shape}: one per state node expected")
-    speed_rpm, load_n, ambient_c = point.speed_rpm, point.load_n, point.ambient_c
-    if not all(map(math.isfinite, (speed_rpm, load_n, ambient_c, *point.inputs))):
-        raise ValueError(f"{point}: expected finite numbers")
-    inputs = np.array([[point.inputs, point.inputs]], np.float64)
+    turned = kernel_array(revolutions)
+    given = np.zeros((4, size, 2))
+    given[0, :, 1] = durations_s
+    given[1:] = np.transpose([(one.speed_rpm, one.load_n, one.ambient_c) for one in points])[
+        :, :, np.newaxis
+    ]
+    inputs = np.empty((size, 2, len(points[0].inputs)))
+    inputs[:] = np.array([one.inputs for one in points])[:, np.newaxis]
     _check_inputs(model, inputs)
-    rows = np.array(
-        [[(0.0, duration_s)], [(speed_rpm,) * 2], [(load_n,) * 2], [(ambient_c,) * 2]], np.float64
-    )
-    ahead = OperatingProfiles(rows[0], rows[1], rows[2], rows[3], inputs, np.full(1, 2))
-    failed, temperatures = _run_one(model.compiled, parameters, ahead, initial, revolutions)
-    if failed >= 0:
-        raise SimulationError(f"simulation of model {model.name!r} ran away at {point}")
-    return temperatures[-1], revolutions + abs(point.speed_rpm) * duration_s / 60.0
+    ahead = OperatingProfiles(given[0], given[1], given[2], given[3], inputs, np.full(size, 2))
+    failed, temperatures = _run_all(model.compiled, parameters, ahead, initial, turned)
+    ends = temperatures[:, -1].copy()
+    ends[failed >= 0] = np.nan
+    return ends, turned + np.abs(given[1, :, 1]) * given[0, :, 1] / 60.0
 
 
 def simulate_batch(
@@ -154,8 +117,6 @@ def simulate_batch(
 
     Parameters
     ----------
-    model
-        The model.
     values
         Shape (B, p).
     profile
@@ -186,20 +147,13 @@ def simulate_batch(
     parameters = _values(model, values, 2)
     count = parameters.shape[0]
     nodes = len(model.node_names)
-    initial = np.asarray(initial_temperatures_c, dtype=np.float64)
-    if initial.shape not in ((nodes,), (count, nodes)):
-        raise ValueError(
-            f"initial_temperatures_c has shape {initial.shape}, expected ({nodes},) or "
-            f"({count}, {nodes})"
-        )
-    turned = np.asarray(revolutions, dtype=np.float64)
-    if turned.shape not in ((), (count,)):
-        raise ValueError(f"revolutions has shape {turned.shape}, expected () or ({count},)")
     heat = np.zeros(nodes) if disturbance_w is None else _finite("disturbance_w", disturbance_w)
-    if heat.shape not in ((nodes,), (count, nodes)):
-        raise ValueError(
-            f"disturbance_w has shape {heat.shape}, expected ({nodes},) or ({count}, {nodes})"
-        )
+    starts = kernels.Starts(
+        _for_all("initial_temperatures_c", initial_temperatures_c, count, (nodes,)),
+        _for_all("revolutions", revolutions, count, ()),
+        _for_all("disturbance_w", heat, count, (nodes,)),
+        1.0 / disturbance_time_s,
+    )
     ahead = OperatingProfiles.of([profile]) if isinstance(profile, OperatingProfile) else profile
     if ahead.size not in (1, count):
         raise ValueError(f"there are {ahead.size} profiles, expected 1 or {count}")
@@ -208,10 +162,6 @@ def simulate_batch(
     ends = np.asarray(length if disturbance_rows is None else disturbance_rows, np.int64)
     if ends.shape not in ((), (count,)):
         raise ValueError(f"disturbance_rows has shape {ends.shape}, expected () or ({count},)")
-    fading = 1.0 / disturbance_time_s
-    starts = kernel_array(np.broadcast_to(initial, (count, nodes)))
-    turns = kernel_array(np.broadcast_to(turned, (count,)))
-    heats = kernel_array(np.broadcast_to(heat, (count, nodes)))
     until = np.array(np.broadcast_to(ends, (count,)))
     failed = np.empty(count, np.int64)
     result = np.empty((count, length, nodes))
@@ -222,28 +172,45 @@ def simulate_batch(
             parameters,
             ahead,
             starts,
-            turns,
-            heats,
-            fading,
             until,
+            kernels.UNKNOWN_BASIS,
             start,
             stop,
             failed,
             result,
-            kernels.UNKNOWN_BASIS,
         )
 
-    threads = min(int(numba_config.NUMBA_NUM_THREADS), count)
-    if threads <= 1 or count * length < 1000:
+    if count * length < 1000:
         run(0, count)
-        return result
-    # Threads of our own around a serial kernel without the GIL, not numba's parallel loops: those
-    # abort the process on concurrent calls (workqueue) or after a fork (GNU OpenMP).
+    else:
+        run_in_threads(run, count)
+    return result
+
+
+def _for_all(
+    name: str, given: ArrayLike, count: int, shape: tuple[int, ...]
+) -> NDArray[np.float64]:
+    """Bring what is given for all, or for each, to (count, *shape)."""
+    array, whole = np.asarray(given, dtype=np.float64), (count, *shape)
+    if array.shape not in (shape, whole):
+        raise ValueError(f"{name} has shape {array.shape}, expected {shape} or {whole}")
+    return kernel_array(np.broadcast_to(array, whole))
+
+
+def run_in_threads(run: Callable[[int, int], None], count: int) -> None:
+    """Call a kernel for members first..last-1 of `count`, in threads of our own.
+
+    It is serial and without the GIL, not one of numba's parallel loops: those abort the process on
+    concurrent calls (workqueue) or after a fork (GNU OpenMP).
+    """
+    threads = min(int(numba_config.NUMBA_NUM_THREADS), count)
+    if threads <= 1:
+        run(0, count)
+        return
     chunks = np.linspace(0, count, threads * _CHUNKS_PER_THREAD + 1).astype(int)
     with ThreadPoolExecutor(threads) as pool:
         for _ in pool.map(run, chunks[:-1].tolist(), chunks[1:].tolist()):
             pass
-    return result
 
 
 def steady_state(
@@ -256,27 +223,11 @@ def steady_state(
 ) -> NDArray[np.float64]:
     """Temperatures that a machine at standstill at ambient reaches at a constant operating point.
 
-    Approached in time from the cold side, so that of several equilibria the one is found that
-    the machine would reach; polished by Newton until the heat balance of every node closes.
+    Approached in time from the cold side, so that of several equilibria the one is found that the
+    machine would reach; polished by Newton until the heat balance of every node closes to better
+    than 1e-6 W. The network's inputs are those that the model holds; running-in stands still.
 
-    Parameters
-    ----------
-    model, values
-        The model and its parameters, shape (p,).
-    speed_rpm, load_n, ambient_c
-        The operating point; the network's inputs are those that the model holds.
-    revolutions
-        Revolutions since greasing, held constant (running-in stands still).
-
-    Returns
-    -------
-    ndarray
-        Shape (nodes,); the heat balance closes to better than 1e-6 W.
-
-    Raises
-    ------
-    SimulationError
-        If there is no finite steady state.
+    Raises `SimulationError` if there is no finite steady state.
     """
     parameters = _values(model, values, 1)
     speed, load, ambient = _finite("operating point", [speed_rpm, load_n, ambient_c]).tolist()
@@ -321,24 +272,7 @@ def heat_balance_w(
     ambient_c: float,
     revolutions: float = 0.0,
 ) -> tuple[NDArray[np.float64], float]:
-    """Net heat flow into every node and the heat of friction and losses, in W.
-
-    Parameters
-    ----------
-    model, values
-        The model and its parameters, shape (p,).
-    temperatures_c
-        Shape (nodes,).
-    speed_rpm, load_n, ambient_c, revolutions
-        The operating point.
-
-    Returns
-    -------
-    net : ndarray
-        Shape (nodes,); zero in a steady state.
-    friction : float
-        Heat of friction and losses.
-    """
+    """Net heat flow (nodes,) into every node, and the heat of friction and losses, in W."""
     net, friction = kernels.heat_balance(
         model.compiled,
         _values(model, values, 1),
@@ -360,10 +294,7 @@ def heat_balance_slopes_w_k(
     ambient_c: float,
     revolutions: float = 0.0,
 ) -> NDArray[np.float64]:
-    """Derivatives (nodes, nodes) of the net heat flows by the nodes' temperatures, in W/K.
-
-    Parameters as for `heat_balance_w`; running-in stands still.
-    """
+    """Derivatives (nodes, nodes) of the net heat flows by temperature, in W/K; no running-in."""
     parameters = _values(model, values, 1)
     _, jacobian = kernels.heat_balance_linearised(
         _running_in_held(model, parameters, float(revolutions)),
@@ -377,13 +308,7 @@ def heat_balance_slopes_w_k(
 
 
 def inputs_of(model: NetworkModel, profile: OperatingProfile) -> NDArray[np.float64]:
-    """Return the inputs (n, k) of a profile, which must be those that the model's network has.
-
-    Raises
-    ------
-    ValueError
-        If there are more or fewer.
-    """
+    """Inputs (n, k) of a profile; raises `ValueError` unless the model's network has these."""
     _check_inputs(model, profile.inputs)
     return profile.inputs
 
@@ -396,24 +321,37 @@ def _run_one(
     revolutions: float,
 ) -> tuple[int, NDArray[np.float64]]:
     """Row that could not be reached, or -1, and the temperatures (n, nodes) of one member."""
-    temperatures = np.empty((1, ahead.time_s.shape[1], initial_c.size))
-    failed = np.empty(1, np.int64)
-    kernels.simulate_range(
-        net,
-        values[np.newaxis],
-        ahead,
-        initial_c[np.newaxis],
-        np.array([float(revolutions)]),
-        np.zeros((1, initial_c.size)),
-        0.0,
-        ahead.rows,
-        0,
-        1,
-        failed,
-        temperatures,
-        kernels.UNKNOWN_BASIS,
+    failed, temperatures = _run_all(
+        net, values[np.newaxis], ahead, initial_c[np.newaxis], np.array([float(revolutions)])
     )
     return int(failed[0]), temperatures[0]
+
+
+def _run_all(
+    net: CompiledNetwork,
+    values: NDArray[np.float64],
+    ahead: OperatingProfiles,
+    initial_c: NDArray[np.float64],
+    revolutions: NDArray[np.float64],
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """As `_run_one` of members (B,), each over its own rows, in this thread."""
+    size = len(initial_c)
+    temperatures = np.empty((size, ahead.time_s.shape[1], initial_c.shape[1]))
+    failed = np.empty(size, np.int64)
+    starts = kernels.Starts(initial_c, revolutions, np.zeros(initial_c.shape), 0.0)
+    kernels.simulate_range(
+        net,
+        values,
+        ahead,
+        starts,
+        ahead.rows,
+        kernels.UNKNOWN_BASIS,
+        0,
+        size,
+        failed,
+        temperatures,
+    )
+    return failed, temperatures
 
 
 def _check_inputs(model: NetworkModel, inputs: NDArray[np.float64]) -> None:

@@ -57,26 +57,16 @@ from twin_core.simulation.vectors import LANES, STRIDE, combine, combine_wide
 
 @compiled
 def tangent_kernel(  # type: ignore[no-untyped-def]
-    net,
-    values,
-    time,
-    speed,
-    load,
-    ambient,
-    given,
-    initial,
-    seeds,
-    revolutions,
-    rows,
-    out,
-    derivative,
+    net, values, profile, initial, seeds, revolutions, rows, out, derivative
 ):
     """Simulate one candidate as `simulate_range` does, with its derivatives.
 
-    Directions are the p parameters, then the columns of seeds (nodes, e): changes of the initial
-    temperatures. Fills out (n, r) with rows (r, nodes) @ temperatures, derivative (n, r, p + e).
-    Returns the row from which on the result is unusable, or -1.
+    `profile` holds time, speed, load, ambient (n,) and inputs (n, k). Directions are the p
+    parameters, then the columns of seeds (nodes, e): changes of the initial temperatures. Fills out
+    (n, r) with rows (r, nodes) @ temperatures, derivative (n, r, p + e). Returns the row from which
+    on the result is unusable, or -1.
     """
+    time, speed, load, ambient, given = profile
     count = net.capacity.size
     width = padded(count, LANES)
     parameters = values.size
@@ -130,7 +120,7 @@ def tangent_kernel(  # type: ignore[no-untyped-def]
     local = np.zeros((2, count, padded(2 + inputs, STRIDE), span))
     ahead_local, late_local = local[0], local[1]
     ahead_weight, late_weight = np.zeros(local.shape[2]), np.zeros(local.shape[2])
-    ones, zeros = np.ones(width), np.zeros(width)
+    ones, moved = np.ones(width), np.zeros(width)
     view = np.zeros((active, width))
     view_tangent = np.zeros((active, width, span))
     look = np.zeros((outputs, width))
@@ -195,8 +185,7 @@ def tangent_kernel(  # type: ignore[no-untyped-def]
                 coefficient,
                 rate,
                 modes,
-                n,
-                f,
+                (n, f),
                 given[row],
                 turning,
                 mode_tangent,
@@ -287,21 +276,19 @@ def tangent_kernel(  # type: ignore[no-untyped-def]
                 combine(driven, heat, source)
                 for q in range(inputs):
                     ahead_weight[2 + q] = heat[q]
+                for k in range(count):
+                    ahead[k] = decay[k] * y[k] + reach[k] * driven[k]
+                    moved[k] = decay_slope[k] * y[k] + reach_slope[k] * driven[k]
                 advance_tangents(
                     decay,
-                    reach,
-                    decay_slope,
-                    reach_slope,
-                    driven,
+                    moved,
                     ahead_weight,
                     ahead_local,
                     ahead_gain,
                     heat_tangent,
                     pair,
                     coupled,
-                    y,
                     tangent,
-                    ahead,
                     ahead_tangent,
                 )
                 turned += n * step / 60.0
@@ -331,21 +318,19 @@ def tangent_kernel(  # type: ignore[no-untyped-def]
                 combine(driven, change, source)
                 for q in range(active):
                     late_weight[2 + q] = change[q]
+                for k in range(count):
+                    y[k] = ahead[k] + late_reach[k] * driven[k]
+                    moved[k] = late_slope[k] * driven[k]
                 advance_tangents(
                     ones,
-                    late_reach,
-                    zeros,
-                    late_slope,
-                    driven,
+                    moved,
                     late_weight,
                     late_local,
                     late_gain,
                     change_tangent,
                     pair,
                     coupled,
-                    ahead,
                     ahead_tangent,
-                    y,
                     tangent,
                 )
                 watch(view, view_tangent, y, tangent, now, now_tangent)
@@ -364,34 +349,17 @@ def tangent_kernel(  # type: ignore[no-untyped-def]
 
 @partial(compiled, inlined=True)
 def advance_tangents(  # type: ignore[no-untyped-def]
-    decay,
-    reach,
-    decay_slope,
-    reach_slope,
-    driven,
-    weight,
-    local,
-    gain,
-    input_tangent,
-    pair,
-    coupled,
-    y,
-    tangent,
-    out,
-    out_tangent,
+    decay, moved, weight, local, gain, input_tangent, pair, coupled, tangent, out
 ):
-    """Set out to decay y + reach driven, and out_tangent (n, span) to its derivatives.
+    """Set out (n, span) to the derivatives of decay y + what inputs, or their changes, do.
 
-    `decay_slope` and `reach_slope` are the derivatives of decay and reach by the rates; `weight`
-    (inputs + 2,) has the inputs from its third place on, `local` what they are multiplied with.
+    `moved` (n,) are the derivatives of that by the rates; `weight` (inputs + 2,) has the inputs
+    from its third place on, `local` what they are multiplied with.
     """
     for k in range(local.shape[0]):
-        out[k] = decay[k] * y[k] + reach[k] * driven[k]
         set_scaled(local[k, 0], 1.0, tangent[k])
         weight[0] = decay[k]
-        weight[1] = decay_slope[k] * y[k] + reach_slope[k] * driven[k]
-        combine_wide(out_tangent[k], weight, local[k], gain[k], input_tangent)
+        weight[1] = moved[k]
+        combine_wide(out[k], weight, local[k], gain[k], input_tangent)
     for m in range(pair.shape[0]):
-        k, other = pair[m, 0], pair[m, 1]
-        moved = decay_slope[other] * y[other] + reach_slope[other] * driven[other]
-        add_scaled(out_tangent[k], moved, coupled[m])
+        add_scaled(out[pair[m, 0]], moved[pair[m, 1]], coupled[m])

@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 
 from twin_core.filtering import begin, run_filter
 from twin_core.forecasting.calibrated import untrained_rows
-from twin_core.forecasting.ensemble import Forecast, forecast
+from twin_core.forecasting.ensemble import forecast
+from twin_core.forecasting.result import Forecast
 from twin_core.forecasting.whole_run import shares_of_band
 from twin_core.identification.data import IdentificationData, IdentificationWindow
-from twin_core.identification.family import CalibrationRun
-from twin_core.identification.identify import identify
+from twin_core.identification.family import SisterRun
+from twin_core.identification.identify import FitSettings, identify
 from twin_core.identification.posterior import Posterior, TrainedRange
 from twin_core.identification.problem import first_measurements, profile_of
 from twin_core.models import ThermalModel
@@ -41,29 +42,13 @@ def calibration_runs(
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
     cancelled: Callable[[], bool] | None = None,
-) -> tuple[CalibrationRun, ...]:
+) -> tuple[SisterRun, ...]:
     """Play every sister whose rows are known as the target.
 
-    Parameters
-    ----------
-    model
-        Of all of them.
-    sisters
-        Those that the target's prior is made of.
-    trained
-        Where the target has been: that is each sister's easy part.
-    seed
-        Of identifications and forecasts.
-    progress
-        Told after each sister how far the work has come, 0 to 1.
-    cancelled
-        As of `twin_core.identification.identify`.
-
-    Returns
-    -------
-    tuple of CalibrationRun
-        One per sister that has rows both within and beyond that range, and whose own fit may
-        forecast.
+    `sisters`: those that the target's prior is made of; `trained`: where the target has been, which
+    is each sister's easy part; `progress`: called after each sister with how far the work has come,
+    0 to 1. Returns one per sister that has rows both within and beyond that range, and whose own
+    fit may forecast.
     """
     runs = []
     for number, sister in enumerate(sisters):
@@ -110,17 +95,16 @@ def _played(
     first: int,
     seed: int,
     cancelled: Callable[[], bool] | None,
-) -> CalibrationRun | None:
+) -> SisterRun | None:
     """Forecast the rest of a window from ``first`` on; None where the easy part has no fit."""
     prior = population_prior(others)
     try:
         result = identify(
             model,
             easy,
-            method="refine",
+            FitSettings(method="refine", seed=seed),
             guess_z=prior.mean,
             warm=True,
-            seed=seed,
             prior=prior,
             cancelled=cancelled,
         )
@@ -137,7 +121,7 @@ def _played(
     except SimulationError:
         needs = dict.fromkeys(window.minutes.sensors, (_MOST, _MOST))
     known = {sensor: need for sensor, need in needs.items() if need is not None}
-    return CalibrationRun(
+    return SisterRun(
         name,
         float(np.max(ahead.load_n)),
         float(np.max(np.abs(ahead.speed_rpm))),

@@ -1,32 +1,25 @@
-"""Identification of a machine with what its sisters know, and whether that is to be believed.
+"""Identification of a machine with what its sisters know, each law as far as it is to be believed.
 
-Whether the sisters are sisters is asked of the machine's own data, twice. Their prior must explain
-these at least as well as the literature's: what decides is the evidence, the probability of all
-readings under a prior, the product of what would have been predicted for each reading from those
-before it. A narrow prior in the right place gains, in the wrong place it loses. And what the data
-say by themselves must be what one would see of a member of the family now and then.
+What the sisters know is one prior; `twin_core.sisters.trust` says how far each law of it is trusted
+and mixes it with the literature's.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.special import gammaincc
 
 from twin_core.identification.data import IdentificationData
-from twin_core.identification.family import CalibrationRun
+from twin_core.identification.family import Law, LawTrust, SisterRun
 from twin_core.identification.identify import (
-    DEFAULT_SAMPLES,
+    FitSettings,
+    IdentificationProgress,
     IdentificationResult,
-    Progress,
     identify,
 )
 from twin_core.identification.posterior import Posterior, TrainedRange
 from twin_core.identification.priors import NormalPrior
-from twin_core.identification.problem import IdentificationProblem
-from twin_core.identification.refinement import refine
-from twin_core.identification.whitening import Loss
 from twin_core.models import ThermalModel
 from twin_core.sisters.calibration import calibration_runs
 from twin_core.sisters.population import (
@@ -36,13 +29,8 @@ from twin_core.sisters.population import (
     population_prior,
     strangers,
 )
+from twin_core.sisters.trust import Mixture, laws_without_sisters, mixture
 
-FloatArray = NDArray[np.float64]
-
-# A machine that is further off than this share of a family's members is taken for none of them.
-# Among 40 development targets the least was .04; of twelve of another family five lay below.
-_RAREST = 0.01
-_LEAST_VARIANCE = 1e-4
 # Ranges of loads and speeds that differ by less, as by their noise, are the same.
 _SAME_RANGE = 0.02
 # Share of the progress with which the machine itself is identified; the rest is its sisters'.
@@ -51,37 +39,23 @@ _IDENTIFIED = 0.2
 
 @dataclass(frozen=True, slots=True)
 class SisterVerdict:
-    """What became of the sisters.
+    """What became of the sisters."""
 
-    Attributes
-    ----------
-    names, loads_n, speeds_rpm
-        Of those that the prior was made of; the heaviest load in N and highest speed in rpm that
-        each has seen.
-    accepted
-        Whether the model rests on them; if not, on the literature's prior as without sisters.
-    reason
-        Why, or why not.
-    evidence_gain
-        Natural logarithm of how many times more probable the data are under the sisters' prior than
-        under the literature's; None where it was not asked.
-    membership
-        Share of a family's members whose own data would be further off; None where not asked.
-    set_aside
-        Sisters that were not used, with the reason, by name.
-    calibrated_runs
-        How many sisters could be played as the target.
-    """
-
+    #: Of those that the prior was made of; the heaviest load in N and highest speed in rpm that
+    #: each has seen.
     names: Sequence[str]
     loads_n: Sequence[float]
     speeds_rpm: Sequence[float]
+    #: Whether any law rests on them; if not, all are the literature's, as without sisters.
     accepted: bool
     reason: str
+    #: Natural logarithm of how many times more probable the data are under the sisters' prior than
+    #: under the literature's; None where it was not asked.
     evidence_gain: float | None
-    membership: float | None
-    set_aside: Mapping[str, str]
-    calibrated_runs: int
+    set_aside: Mapping[str, str]  # sisters that were not used, with the reason, by name
+    calibrated_runs: int  # how many sisters could be played as the target
+    #: How far each law is trusted; empty where the data were not asked.
+    laws: Mapping[Law, LawTrust] = field(default_factory=dict)
 
     @property
     def used(self) -> int:
@@ -110,7 +84,6 @@ class SisterVerdict:
             "accepted": self.accepted,
             "reason": self.reason,
             "evidence_gain": self.evidence_gain,
-            "membership": self.membership,
             "set_aside": dict(self.set_aside),
             "calibrated_runs": self.calibrated_runs,
         }
@@ -118,21 +91,12 @@ class SisterVerdict:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WithSisters:
-    """An identification with sisters.
+    """An identification with sisters."""
 
-    Attributes
-    ----------
-    result
-        The one to use: with the sisters' prior if they were accepted, else the literature's.
-    verdict
-        What became of the sisters.
-    prior
-        The prior of ``result``; None for the literature's.
-    """
-
+    #: The one to use: the mixture of both priors, or the literature's where no law is the sisters'.
     result: IdentificationResult
     verdict: SisterVerdict
-    prior: NormalPrior | None
+    prior: NormalPrior | None  # the most probable of ``result``; None for the literature's
 
 
 def identify_with_sisters(
@@ -140,34 +104,20 @@ def identify_with_sisters(
     data: IdentificationData,
     sisters: Sequence[Sister],
     literature: IdentificationResult,
+    fit: FitSettings = FitSettings(),  # noqa: B008 - frozen
     *,
-    seed: int = 0,
-    samples: int = DEFAULT_SAMPLES,
-    loss: Loss = "linear",
     calibrate: bool = True,
     earlier: Posterior | None = None,
-    progress: Callable[[Progress], None] | None = None,
+    progress: Callable[[IdentificationProgress], None] | None = None,
     cancelled: Callable[[], bool] | None = None,
 ) -> WithSisters:
-    """Identify again with the sisters' prior, and use it if the data speak for it.
+    """Identify again with the sisters' prior, and use it law by law as far as the data let it.
 
-    Parameters
-    ----------
-    model, data
-        The machine and its own low-risk data.
-    sisters
-        Machines of its family, all of the same model; strangers among them are set aside.
-    literature
-        What the same data gave with the literature's prior.
-    seed, samples, loss
-        As of `identify`.
-    calibrate
-        Whether to play each sister that has rows as the target, for the band's width.
-    earlier
-        A posterior of this machine from before: its calibration is used again if it was made with
-        the same sisters and over the same range of loads and speeds.
-    progress, cancelled
-        As of `identify`.
+    `sisters`: machines of its family, all of the same model; strangers among them are set aside;
+    `literature`: what the same data gave with the literature's prior; `calibrate`: whether to play
+    each sister that has rows as the target, for the band's width; `earlier`: a posterior of this
+    machine from before: its calibration is used again if it was made with the same sisters and over
+    the same range of loads and speeds.
     """
     aside = strangers(model, sisters)
     kept = [sister for sister in sisters if sister.name not in aside]
@@ -178,65 +128,71 @@ def identify_with_sisters(
     result = identify(
         model,
         data,
-        method="refine",
+        replace(fit, method="refine"),
         guess_z=literature.posterior.z,
-        seed=seed,
-        samples=samples,
-        loss=loss,
         prior=prior,
         progress=part_of(progress, 0.0, _IDENTIFIED),
         cancelled=cancelled,
     )
-    gain = log_evidence(
-        IdentificationProblem(model, data, literature.posterior.z, loss, prior=prior),
-        result.posterior.z,
-    ) - log_evidence(
-        IdentificationProblem(model, data, literature.posterior.z, loss), literature.posterior.z
-    )
-    share = membership(literature.posterior, prior)
-    why = ""
+    mixed = mixture(model, data, prior, result, literature, fit, cancelled)
+    result, why = mixed.result, _said(mixed, len(kept))
     if result.status != "converged":
         why = result.reason
-    elif not gain >= 0.0:
-        why = (
-            "the sisters' prior explains the machine's own data worse than the literature's "
-            f"(logarithm of the evidence {gain:+.1f})"
-        )
-    elif share < _RAREST:
-        why = (
-            "the machine's own data are not those of a sister: of such a family, "
-            f"{share:.1%} would be further off"
-        )
-    if why:
-        return WithSisters(literature, _verdict(kept, False, why, aside, gain, share), None)
-    runs: tuple[CalibrationRun, ...] = ()
+    if result.status != "converged" or not any(
+        trust.rests_on_family for trust in mixed.laws.values()
+    ):
+        return WithSisters(literature, _verdict(kept, False, why, aside, mixed), None)
+    runs: tuple[SisterRun, ...] = ()
     if calibrate:
         onwards = part_of(progress, _IDENTIFIED, 1.0)
 
-        def tell(fraction: float) -> None:
+        def report(fraction: float) -> None:
             if onwards is not None:
-                onwards(Progress(fraction, "sampling", result.evaluations, result.best_fitness))
+                onwards(
+                    IdentificationProgress(
+                        fraction, "sampling", result.evaluations, result.best_fitness
+                    )
+                )
 
         trained = result.posterior.trained
         runs = _made_before(earlier, kept, trained) or calibration_runs(
-            model, kept, trained, seed=seed, progress=tell, cancelled=cancelled
+            model, kept, trained, seed=fit.seed, progress=report, cancelled=cancelled
         )
-    known = replace(knowledge_of(kept), calibration=runs)
-    why = (
-        f"the prior of {len(kept)} sisters explains the machine's own data better than the "
-        f"literature's (logarithm of the evidence {gain:+.1f})"
-    )
+    known = replace(knowledge_of(kept), calibration=runs, laws=mixed.laws)
     posterior = replace(result.posterior, sisters=known)
     return WithSisters(
         replace(result, posterior=posterior),
-        _verdict(kept, True, why, aside, gain, share, len(runs)),
-        prior,
+        _verdict(kept, True, why, aside, mixed, len(runs)),
+        mixed.prior,
     )
+
+
+def law_documents(
+    model: ThermalModel, posterior: Posterior, verdict: SisterVerdict | None
+) -> dict[str, dict[str, Any]]:
+    """Where each law of a model comes from, as plain JSON types.
+
+    `verdict`: on its sisters; None without any.
+    """
+    laws = verdict.laws if verdict is not None else {}
+    return {
+        law: trust.to_dict()
+        for law, trust in (laws or laws_without_sisters(model, posterior)).items()
+    }
+
+
+def _said(mixed: Mixture, sisters: int) -> str:
+    """What the machine's own data say of each law of its sisters."""
+    by_law = [
+        f"{law} law: {trust.said}" if law != "housing" else f"housing and films: {trust.said}"
+        for law, trust in mixed.laws.items()
+    ]
+    return f"{sisters} sisters, evidence for them {mixed.evidence_gain:+.1f}; {'; '.join(by_law)}"
 
 
 def _made_before(
     earlier: Posterior | None, kept: Sequence[Sister], trained: TrainedRange
-) -> tuple[CalibrationRun, ...]:
+) -> tuple[SisterRun, ...]:
     """Give the calibration of an earlier posterior if it would be the same now."""
     if earlier is None or earlier.sisters is None:
         return ()
@@ -254,65 +210,16 @@ def _made_before(
 
 
 def part_of(
-    progress: Callable[[Progress], None] | None, begin: float, end: float
-) -> Callable[[Progress], None] | None:
-    """Tell the progress of a part of the work as that of the whole.
+    progress: Callable[[IdentificationProgress], None] | None, begin: float, end: float
+) -> Callable[[IdentificationProgress], None] | None:
+    """Report the progress of a part of the work as that of the whole.
 
-    Parameters
-    ----------
-    progress
-        Is told; None for nobody.
-    begin, end
-        Where the part begins and ends in the whole, 0 to 1.
+    `progress`: called with it; None for no one; `begin`, `end`: where the part begins and ends in
+    the whole, 0 to 1.
     """
     if progress is None:
         return None
     return lambda part: progress(replace(part, fraction=begin + (end - begin) * part.fraction))
-
-
-def membership(own: Posterior, prior: NormalPrior) -> float:
-    """Share of a family's members whose own data would be further off than a machine's.
-
-    What a machine's own data say, with the literature's prior, is its coordinates z shrunk towards
-    zero: (I - C) z and an error of covariance C (I - C). For z of the family both are normal.
-
-    Parameters
-    ----------
-    own
-        Posterior of the machine's own data with the literature's prior.
-    prior
-        Of the family.
-    """
-    covariance = own.covariance
-    shrunk = np.eye(len(covariance)) - covariance
-    spread = shrunk @ prior.covariance @ shrunk.T + covariance @ shrunk
-    variances, directions = np.linalg.eigh(0.5 * (spread + spread.T))
-    seen = variances > _LEAST_VARIANCE
-    off = directions[:, seen].T @ (own.z - shrunk @ prior.mean)
-    distance = float(np.sum(off**2 / variances[seen]))
-    return float(gammaincc(0.5 * np.count_nonzero(seen), 0.5 * distance))
-
-
-def log_evidence(problem: IdentificationProblem, z: FloatArray) -> float:
-    """Natural logarithm of the data's probability under the problem's prior, but for a constant.
-
-    By the Laplace approximation around the optimum. The constant is the same for all priors on the
-    same data, if their problems have the same guess of the initial states.
-
-    Parameters
-    ----------
-    problem, z
-        The problem and its best parameters (p,); infinitely improbable where no simulation holds.
-    """
-    # With the problem's own initial states, whatever guess the parameters were found with.
-    found = refine(problem, problem.with_nuisance(z))
-    if found is None:
-        return -np.inf
-    unknowns = found.unknowns
-    residuals = problem.residuals(unknowns)[0]
-    jacobian = problem.jacobian(unknowns)
-    curvature = np.linalg.slogdet(jacobian.T @ jacobian)[1]
-    return float(-0.5 * residuals @ residuals - 0.5 * curvature - problem.prior.log_determinant)
 
 
 def _verdict(
@@ -320,8 +227,7 @@ def _verdict(
     accepted: bool,
     reason: str,
     aside: Mapping[str, str],
-    gain: float | None = None,
-    share: float | None = None,
+    mixed: Mixture | None = None,
     runs: int = 0,
 ) -> SisterVerdict:
     return SisterVerdict(
@@ -330,8 +236,8 @@ def _verdict(
         [sister.trained.speed_rpm_max for sister in kept],
         accepted,
         reason,
-        gain,
-        share,
+        None if mixed is None else mixed.evidence_gain,
         dict(aside),
         runs,
+        {} if mixed is None else mixed.laws,
     )

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import stdtrit
 
 from twin_core.forecasting.heat_laws import heat_growth
 from twin_core.identification.data import IdentificationData
@@ -38,44 +37,22 @@ _UNITS = {"load_n": "N", "speed_rpm": "rpm"}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sister:
-    """What is known of an identified machine, from its own data alone.
-
-    Attributes
-    ----------
-    name
-        For messages, such as the name of its model file.
-    z, covariance
-        (p,) and (p, p) posterior with the literature's prior. One that was made with sisters would
-        count them twice.
-    trained
-        Where it has been.
-    data
-        Its minute rows; None where they are not known.
-    """
+    """What is known of an identified machine, from its own data alone."""
 
     name: str
+    #: (p,) and (p, p) posterior with the literature's prior. One that was made with sisters would
+    #: count them twice.
     z: FloatArray
     covariance: FloatArray
-    trained: TrainedRange
-    data: IdentificationData | None = None
+    trained: TrainedRange  # where it has been
+    data: IdentificationData | None = None  # its minute rows; None where they are not known
 
 
 def sister_of(name: str, own: Posterior, data: IdentificationData | None) -> Sister:
     """Make a sister of what a machine's own data say.
 
-    Parameters
-    ----------
-    name
-        For messages.
-    own
-        Its posterior with the literature's prior.
-    data
-        Its minute rows, if they are known.
-
-    Raises
-    ------
-    ValueError
-        If that is no identified machine.
+    `own`: its posterior with the literature's prior; `data`: its minute rows, if they are known.
+    Raises `ValueError` if that is no identified machine.
     """
     p = own.z.size
     if not own.identified:
@@ -92,15 +69,7 @@ def population_prior(sisters: Sequence[Sister]) -> NormalPrior:
     The mean of the sisters' coordinates; their scatter, that of a mean of n, and the mean of their
     own uncertainties (law of total variance). In no direction wider than the literature's.
 
-    Parameters
-    ----------
-    sisters
-        At least two, all of one model.
-
-    Raises
-    ------
-    ValueError
-        For fewer.
+    `sisters`: at least two, all of one model. Raises `ValueError` for fewer.
     """
     n = len(sisters)
     if n < FEWEST_SISTERS:
@@ -129,17 +98,7 @@ def strangers(model: ThermalModel, sisters: Sequence[Sister]) -> dict[str, str]:
 
     Judged are those that have seen as much as half of the sisters have; six of them at least.
 
-    Parameters
-    ----------
-    model
-        Of all of them.
-    sisters
-        Machines that are said to be of one family.
-
-    Returns
-    -------
-    dict
-        Why each does not belong to the family, by its name.
+    Returns why each does not belong to the family, by its name.
     """
     found: dict[str, str] = {}
     speed_rpm = float(np.median([max(_reached(one, "speed_rpm")) for one in sisters]))
@@ -172,6 +131,8 @@ def _is_definite(covariance: FloatArray) -> bool:
 
 def _outside(values: FloatArray) -> list[int]:
     """Which of the values (n,) do not belong to the others: the largest such group, or none."""
+    from scipy.special import stdtrit  # loaded by what learns a population
+
     order = np.argsort(np.abs(values - np.median(values)))
     for group in range(values.size // _MOST_STRANGERS, 0, -1):
         core, far = values[order[:-group]], values[order[-group:]]
@@ -183,12 +144,9 @@ def _outside(values: FloatArray) -> list[int]:
 
 
 def same_run(one: IdentificationData, other: IdentificationData) -> bool:
-    """Tell whether two data sets are of one run of one machine: it is no sister of itself.
+    """Return whether two data sets are of one run of one machine: it is no sister of itself.
 
-    Parameters
-    ----------
-    one, other
-        Compared are their temperatures at equal times since their first rows.
+    Compared are their temperatures at equal times since their first rows.
     """
     ours, theirs = one.windows[0].minutes, other.windows[0].minutes
     our_s, their_s = ours.time_s - ours.time_s[0], theirs.time_s - theirs.time_s[0]

@@ -5,6 +5,7 @@ import logging
 import os
 import re
 import select
+import socket
 import time
 from collections.abc import Iterator
 from typing import Any
@@ -13,6 +14,7 @@ import can
 import serial
 from can.exceptions import error_check
 from can.interfaces.slcan import slcanBus
+from can.interfaces.socketcand import SocketCanDaemonBus, socketcand
 from serial.urlhandler import protocol_socket
 
 from adapters.drivers.can.config import CanSource
@@ -21,14 +23,24 @@ logger = logging.getLogger(__name__)
 
 PORT_TIMEOUT_S = 0.1  # of one wait for bytes; data ends it at once
 WRITE_TIMEOUT_S = 1.0
+#: Wall seconds for a connection, and for each answer when a bus is opened.
+OPEN_TIMEOUT_S = 1.5
 CHUNK_BYTES = 65536
 LONGEST_MESSAGE = 1024  # far more than a frame takes
 _ASCII_ONLY = bytes(range(128)) + b"?" * 128  # line noise must spoil its own line only
 
 _END_OF_MESSAGE = re.compile(rb"[\r\a]")
 
-# pyserial waits 5 s for a connection; nothing may hold up a stop for so long.
-protocol_socket.POLL_TIMEOUT = 1.5
+
+def _connect(connection: socket.socket, host: str, port: int) -> None:
+    connection.settimeout(OPEN_TIMEOUT_S)
+    connection.connect((host, port))
+
+
+# pyserial waits 5 s for a connection, python-can tries a refused one for 10 s without a pause;
+# nothing may hold up a stop for so long.
+protocol_socket.POLL_TIMEOUT = OPEN_TIMEOUT_S
+socketcand.connect_to_server = _connect
 
 
 class ChunkedPort:
@@ -130,6 +142,39 @@ class SlcanBus(slcanBus):
                 connection.close()
 
 
+class SocketcandBus(SocketCanDaemonBus):
+    """python-can's socketcand bus, opened also where frames come right behind the last answer.
+
+    python-can wants each answer alone in one packet: a busy bus is opened by chance only.
+    """
+
+    _SocketCanDaemonBus__socket: socket.socket
+
+    def __init__(self, channel: str, **options: Any) -> None:
+        try:
+            super().__init__(channel, **options)  # type: ignore[no-untyped-call]
+        except BaseException:
+            if hasattr(self, "_SocketCanDaemonBus__socket"):
+                self._SocketCanDaemonBus__socket.close()
+            raise
+        self._SocketCanDaemonBus__socket.settimeout(None)  # `recv` waits with `select`
+
+    def _expect_msg(self, msg: str) -> None:
+        answer = b""
+        while not answer.endswith(b">") and len(answer) < LONGEST_MESSAGE:
+            try:
+                byte = self._SocketCanDaemonBus__socket.recv(1)  # what is behind it stays unread
+            except TimeoutError:
+                raise can.CanError(f"no {msg!r} within {OPEN_TIMEOUT_S:g} s") from None
+            except ConnectionError:
+                byte = b""
+            if not byte:
+                raise can.CanError(f"the server closed the connection instead of {msg!r}")
+            answer += byte
+        if answer.strip() != msg.encode():
+            raise can.CanError(f"expected {msg!r}, got {answer.decode('ascii', 'replace')!r}")
+
+
 def open_bus(source: CanSource) -> can.BusABC:
     """Open the source's bus; raises whatever the interface's library raises."""
     options = source.bus_options
@@ -139,6 +184,8 @@ def open_bus(source: CanSource) -> can.BusABC:
         if channel.startswith("socket://"):
             options.setdefault("sleep_after_open", 0.0)  # meant for adapters that boot when opened
         return SlcanBus(channel, **options)
+    if source.interface == "socketcand":
+        return SocketcandBus(str(source.channel), **options)
     # can.conf files and CAN_* variables of the machine are none of our business
     return can.Bus(
         channel=source.channel, interface=source.interface, ignore_config=True, **options

@@ -74,20 +74,7 @@ class BoundMessage:
     errors: list[str] = field(default_factory=list)  # kinds of the latest frame
 
     def decode(self, data: bytes | bytearray, now_us: int) -> list[Sample]:
-        """Decode one frame.
-
-        Parameters
-        ----------
-        data
-            Payload of the frame.
-        now_us
-            Process time of its reception.
-
-        Returns
-        -------
-        list of Sample
-            One per bound channel (a signal of another multiplexer page has none).
-        """
+        """Decode one frame; a signal of another multiplexer page gives no sample."""
         self.errors.clear()
         if self.last_frame_us:
             elapsed_us = now_us - self.last_frame_us
@@ -141,13 +128,7 @@ class BoundMessage:
 
 
 class MessageTable:
-    """The messages that must be decoded, found by the identifier of a frame.
-
-    Parameters
-    ----------
-    bound
-        Messages by identifier, with the bits of the identifier that must agree.
-    """
+    """The messages that must be decoded, by identifier, with the bits of it that must agree."""
 
     def __init__(self, bound: Mapping[FrameKey, tuple[BoundMessage, int]]) -> None:
         self._exact = {
@@ -193,11 +174,7 @@ def check(
 ) -> None:
     """Check a CAN source with everything bound to it; reads the DBC, opens no bus.
 
-    Raises
-    ------
-    ConfigurationError
-        Unknown interface, DBC missing or broken, message or signal not in it, channel bound
-        twice, or a plan, which CAN cannot carry.
+    Raises `ConfigurationError`, also for a plan, which CAN cannot carry.
     """
     if source.interface not in can.VALID_INTERFACES:
         raise ConfigurationError(
@@ -213,13 +190,7 @@ def check(
 
 
 def bind(source: CanSource, channels: Sequence[ChannelBinding]) -> MessageTable:
-    """Compile the channels of a source into the messages that must be decoded.
-
-    Raises
-    ------
-    ConfigurationError
-        As `check`.
-    """
+    """Compile the channels of a source into the messages to decode. Raises `ConfigurationError`."""
     database = load_dbc(source)
     bound: dict[FrameKey, tuple[BoundMessage, int]] = {}
     seen: set[tuple[str, str]] = set()
@@ -248,13 +219,7 @@ def bind(source: CanSource, channels: Sequence[ChannelBinding]) -> MessageTable:
 
 
 def load_dbc(source: CanSource) -> Database:
-    """Read the source's DBC file.
-
-    Raises
-    ------
-    ConfigurationError
-        The file cannot be read or is no DBC.
-    """
+    """Read the source's DBC file. Raises `ConfigurationError` if it cannot be read or is none."""
     where = f"source {source.name!r}: dbc {str(source.dbc)!r}"
     try:
         database = cantools.database.load_file(source.dbc, database_format="dbc")

@@ -23,7 +23,7 @@ class CanDriver:
     """Listens to one CAN bus, see `adapters.protocol.Driver`.
 
     Samples carry the process time at which their frame was received. Whether a channel has become
-    stale is for its user to judge; `health` tells which messages have stopped coming.
+    stale is for its user to judge; `health` names the messages that have stopped coming.
     """
 
     def __init__(
@@ -73,13 +73,7 @@ class CanDriver:
             logger.warning("source %s: its library is slow to close the bus", self.name)
 
     async def batches(self) -> AsyncIterator[Batch]:
-        """Yield what has come without end; cancel to stop.
-
-        Raises
-        ------
-        RuntimeError
-            The listening thread has failed, which only an error in the program can do.
-        """
+        """Yield what has come without end. Raises `RuntimeError` if the thread has failed."""
         reader = self._reader
         if reader is None:
             raise RuntimeError(f"source {self.name}: used without 'async with'")
@@ -95,7 +89,7 @@ class CanDriver:
                 raise RuntimeError(f"source {self.name}: listening failed") from reader.failure
 
     def health(self) -> SourceHealth:
-        """Tell how the source is doing."""
+        """Give the state of the source."""
         health = SourceHealth(self.name, "can", samples=self._samples)
         reader = self._reader
         if reader is None:

@@ -12,6 +12,7 @@ from collections.abc import Callable
 
 import can
 
+from adapters import AdapterError
 from adapters.backoff import Backoff
 from adapters.drivers.can.bus import close_bus, open_bus
 from adapters.drivers.can.config import CanSource
@@ -33,19 +34,14 @@ MOST_GARBAGE = 50  # unreadable lines in a row
 MOST_EMPTY_READS = 50  # reads in a row that return nothing long before their time
 
 
-class BusLostError(Exception):
+class BusLostError(AdapterError):
     """The bus is open but of no more use."""
 
 
 class Reader(threading.Thread):
     """Listens, decodes, and keeps samples until they are taken.
 
-    Parameters
-    ----------
-    source, messages, clock
-        What to listen to, what to decode, and the process clock.
-    notify
-        Called from this thread when samples wait after there were none, and when it ends.
+    ``notify``: called from this thread when samples wait after there were none, and when it ends.
     """
 
     def __init__(

@@ -21,26 +21,14 @@ _PART: Final = "/"
 
 @dataclass(frozen=True, slots=True)
 class SignalSeen:
-    """A signal of a DBC file.
-
-    Attributes
-    ----------
-    unit
-        As the file gives it.
-    frames
-        How many of its frames came while one listened.
-    value
-        The latest; None where none came or it means "no value".
-    detail
-        Why there is no good value; else empty.
-    """
+    """A signal of a DBC file."""
 
     message: str
     signal: str
-    unit: str
-    frames: int = 0
-    value: float | None = None
-    detail: str = "no frame came"
+    unit: str  # as the file gives it
+    frames: int = 0  # how many of its frames came while one listened
+    value: float | None = None  # the latest; None where none came or it means "no value"
+    detail: str = "no frame came"  # why there is no good value; else empty
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,27 +49,16 @@ class _Heard:
 
 
 def described_signals(source: CanSource) -> list[SignalSeen]:
-    """List the signals of a source's DBC file; opens no bus.
-
-    Raises
-    ------
-    ConfigurationError
-        The file cannot be read or is no DBC.
-    """
+    """List the signals of a source's DBC file; opens no bus. Raises `ConfigurationError`."""
     return _signals(load_dbc(source), _Heard())
 
 
 def listen(source: CanSource, listen_s: float) -> BusSeen:
     """Listen to a bus, and decode as the driver does; blocks for so many wall seconds.
 
-    Nothing is sent, but what opening an adapter takes.
-
-    Raises
-    ------
-    ConfigurationError
-        The DBC file cannot be used.
-    Exception
-        Whatever the interface's library raises when the bus cannot be opened.
+    Nothing is sent, but what opening an adapter takes. Raises `ConfigurationError`: the DBC file
+    cannot be used; `Exception` whatever the interface's library raises when the bus cannot be
+    opened.
     """
     database = load_dbc(source)
     messages = bind(source, _bindings(source, database))

@@ -16,7 +16,7 @@ from adapters.backoff import Backoff
 from adapters.drivers.modbus.config import ModbusPlan, ModbusSource
 from adapters.drivers.modbus.groups import Group
 from adapters.drivers.modbus.link import DeviceRefusedError, Link, LinkLostError, NoAnswerError
-from adapters.drivers.modbus.mapping import Point, UnitMap, check, compile_units
+from adapters.drivers.modbus.mapping import PolledChannel, UnitMap, check, compile_units
 from adapters.drivers.modbus.plan import ImplausiblePlanError, decode_plan, read_rows
 from adapters.drivers.modbus.rounds import Round, Rounds
 from adapters.protocol import ChannelBinding, Clock, PlanBinding, SourceHealth
@@ -65,7 +65,7 @@ class _Unit:
     probe: asyncio.Task[_Probe] | None = None
 
     @property
-    def points(self) -> list[Point]:
+    def points(self) -> list[PolledChannel]:
         return [point for one in self.maps for point in one.points]
 
     @property
@@ -128,7 +128,7 @@ class ModbusDriver:
         await self._close()
 
     def health(self) -> SourceHealth:
-        """Tell how the source is doing."""
+        """Give the state of the source."""
         health = self._health
         health.up = not self._link_problem and any(not unit.silent for unit in self._units)
         problems = [self._link_problem] if self._link_problem else []
@@ -211,7 +211,7 @@ class ModbusDriver:
             async with aclosing(self._poll_unit(unit, part, samples, read)) as requests:
                 async for _ in requests:
                     yield None
-            if part not in read and not self._link.connected and not await self._connect():
+            if not self._link.connected and part not in read and not await self._connect():
                 break
         # All units at once: a quarter faster than each between two requests.
         for part in read:
@@ -305,7 +305,7 @@ class ModbusDriver:
         unit.lost = False
         read.append(part)
 
-    def _evaluate(self, points: Sequence[Point], samples: list[Sample]) -> None:
+    def _evaluate(self, points: Sequence[PolledChannel], samples: list[Sample]) -> None:
         """Make samples of what has been read."""
         for point in points:
             time_us = point.reading.time_us
@@ -353,10 +353,7 @@ class ModbusDriver:
         return samples
 
     async def _read_groups(self, part: UnitMap) -> AsyncGenerator[None]:
-        """Read all groups, stopping after each request.
-
-        One that the device calls wrong is split to find the wrong cell.
-        """
+        """Read all groups, stopping after each request; a wrong one is split to find its cell."""
         if part.join_at and time.monotonic() >= part.join_at:
             part.join()
         waiting = deque(part.groups)
@@ -386,8 +383,8 @@ class ModbusDriver:
             part.note_split()
         part.groups = groups
 
-    def _note(self, point: Point, quality: int, kind: str, reason: str) -> None:
-        """Count what is wrong with a channel, and tell of it when it changes."""
+    def _note(self, point: PolledChannel, quality: int, kind: str, reason: str) -> None:
+        """Count what is wrong with a channel, and log it when it changes."""
         if kind:
             self._health.count_error(kind)
         if reason != point.problem:
@@ -435,7 +432,7 @@ class ModbusDriver:
 
 
 async def _answers(link: Link, unit: UnitMap) -> bool:
-    """Tell if a unit answers anything to the read of its first group."""
+    """Whether a unit answers anything to the read of its first group."""
     group = unit.groups[0]
     try:
         await link.read(group.kind, unit.unit, group.start, group.count)

@@ -12,12 +12,8 @@ BIT_GAP = 64
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
-    """What one request may ask of a device.
-
-    `registers` and `bits` are the longest requests, `register_gap` and `bit_gap` the unasked-for
-    addresses between two wanted ones that a request may read across.
-    """
+class RequestLimits:
+    """What one request may ask of a device, and the unasked-for addresses it may read across."""
 
     registers: int
     bits: int
@@ -25,10 +21,10 @@ class Limits:
     bit_gap: int
 
 
-def limits_of(source: ModbusSource) -> Limits:
+def limits_of(source: ModbusSource) -> RequestLimits:
     """Return what a source's configuration allows one request."""
     most, gap = source.registers_per_read_max, source.register_gap_max
-    return Limits(
+    return RequestLimits(
         most,
         most * BITS_PER_REGISTER,
         REGISTER_GAP if gap is None else gap,
@@ -37,7 +33,7 @@ def limits_of(source: ModbusSource) -> Limits:
 
 
 @dataclass(frozen=True, slots=True)
-class Cell:
+class RegisterCell:
     """One raw value on the wire: where it is and how its registers make a number."""
 
     kind: Kind
@@ -48,7 +44,7 @@ class Cell:
 
 
 @dataclass(slots=True)
-class Reading:
+class RawReading:
     """What the latest read of a cell gave: a raw number, or the code of the exception."""
 
     raw: float = math.nan
@@ -61,11 +57,11 @@ class Group:
     """Cells of one unit and kind that are read with one request."""
 
     kind: Kind
-    cells: list[tuple[Cell, Reading]]
+    cells: list[tuple[RegisterCell, RawReading]]
     start: int = 0
     count: int = 0
     retry_at: float = 0.0  # wall (monotonic) time before which a refused read is not repeated
-    _decode: list[tuple[Reading, Callable[..., tuple[float, ...]], int]] = field(
+    _decode: list[tuple[RawReading, Callable[..., tuple[float, ...]], int]] = field(
         default_factory=list
     )
     _swaps: bool = False
@@ -125,7 +121,7 @@ class Group:
         return Group(self.kind, low), Group(self.kind, high)
 
 
-def group(cells: dict[Cell, Reading], limits: Limits) -> list[Group]:
+def group(cells: dict[RegisterCell, RawReading], limits: RequestLimits) -> list[Group]:
     """Join cells of the same kind that lie close together, within the limits of one request."""
     groups: list[Group] = []
     kinds: tuple[Kind, ...] = ("input", "holding", "coil", "discrete")
@@ -133,7 +129,7 @@ def group(cells: dict[Cell, Reading], limits: Limits) -> list[Group]:
         bits = kind in BIT_KINDS
         most = limits.bits if bits else limits.registers
         gap = limits.bit_gap if bits else limits.register_gap
-        run: list[tuple[Cell, Reading]] = []
+        run: list[tuple[RegisterCell, RawReading]] = []
         start = end = 0
         for cell, reading in sorted(
             ((c, r) for c, r in cells.items() if c.kind == kind), key=lambda pair: pair[0].address

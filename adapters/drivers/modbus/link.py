@@ -12,6 +12,7 @@ from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
 from pymodbus.exceptions import ConnectionException, ModbusException, ModbusIOException
 from pymodbus.pdu import ModbusPDU
 
+from adapters import AdapterError
 from adapters.drivers.modbus.config import Kind, ModbusRtuSource, ModbusSource
 
 # Whatever goes wrong comes back from here as an exception and is reported once, by the driver;
@@ -25,15 +26,15 @@ _HEADER_SIZE = 7  # of a Modbus TCP frame, up to and with the unit
 _LONGEST = 254  # unit and PDU
 
 
-class NoAnswerError(Exception):
+class NoAnswerError(AdapterError):
     """The unit did not answer in time, or a gateway says that it cannot reach it."""
 
 
-class LinkLostError(Exception):
+class LinkLostError(AdapterError):
     """The connection broke, or carried something that is not Modbus."""
 
 
-class DeviceRefusedError(Exception):
+class DeviceRefusedError(AdapterError):
     """The device answered with an exception; `code` says which."""
 
     def __init__(self, code: int) -> None:
@@ -42,12 +43,12 @@ class DeviceRefusedError(Exception):
         self.busy = code in (5, 6)
 
 
-class WriteRefusedError(Exception):
+class WriteRefusedError(AdapterError):
     """Something asked for a request that is no read."""
 
 
 class _ReadOnly:
-    """In front of a pymodbus client: requests that are no reads end here, whoever makes them."""
+    """In front of a pymodbus client: requests that are no reads end here."""
 
     def execute(self, no_response_expected: bool, request: ModbusPDU) -> Any:
         if request.function_code not in _FUNCTION_CODES.values():
@@ -69,11 +70,6 @@ class Link:
     A late reply must never be taken for the answer to a newer request, so a time-out or a foreign
     frame drops the connection; the next `connect` starts with a new client. Nothing can be written
     over it: the clients refuse every request that is no read.
-
-    Parameters
-    ----------
-    source
-        Where the server listens, or the serial line.
     """
 
     def __init__(self, source: ModbusSource) -> None:
@@ -91,7 +87,7 @@ class Link:
         return self._client is not None and self._client.connected
 
     async def connect(self) -> bool:
-        """Connect again; tell whether it worked."""
+        """Connect again; returns whether it worked."""
         self.drop()
         client = self._new_client()
         self._client = client
@@ -150,16 +146,10 @@ class Link:
             client.close()
 
     async def read(self, kind: Kind, unit: int, address: int, count: int) -> Sequence[int | bool]:
-        """Read `count` registers or bits.
+        """Read registers or bits.
 
-        Raises
-        ------
-        NoAnswerError
-            No answer in time, or exception 0A or 0B.
-        LinkLostError
-            The connection broke; it has been dropped.
-        DeviceRefusedError
-            Any other exception response.
+        Raises `NoAnswerError`: no answer in time, or exception 0A or 0B; `LinkLostError`: the
+        connection broke and was dropped; `DeviceRefusedError`: any other exception response.
         """
         if self._client is None:
             raise LinkLostError("not connected")

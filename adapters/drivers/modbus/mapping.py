@@ -18,7 +18,14 @@ from adapters.drivers.modbus.config import (
     ModbusSource,
     data_sheet_hint,
 )
-from adapters.drivers.modbus.groups import Cell, Group, Limits, Reading, group, limits_of
+from adapters.drivers.modbus.groups import (
+    Group,
+    RawReading,
+    RegisterCell,
+    RequestLimits,
+    group,
+    limits_of,
+)
 from adapters.protocol import ChannelBinding, PlanBinding
 from adapters.pt100 import fault, temperature_from_resistance
 from adapters.samples import Quality
@@ -44,15 +51,15 @@ _WORDS = {"int16": 1, "uint16": 1, "int32": 2, "uint32": 2, "float32": 2, "float
 
 
 @dataclass(slots=True)
-class Point:
+class PolledChannel:
     """A channel, compiled for decoding."""
 
     asset: str
     channel: str
     config: ModbusChannel
     unit: int
-    reading: Reading
-    status: Reading | None
+    reading: RawReading
+    status: RawReading | None
     sentinels: frozenset[float]
     status_bits: tuple[tuple[int, str], ...]
     age_limit_us: float
@@ -81,16 +88,8 @@ class Point:
     def evaluate(self, time_us: int) -> tuple[float, int, str, str]:
         """Turn the latest readings into a value.
 
-        Parameters
-        ----------
-        time_us
-            Process time of the sample that will be made.
-
-        Returns
-        -------
-        tuple
-            Value (NaN when bad), quality, kind of error for counting and a reason for people
-            (both empty when good). Never good unless the device said so in every respect.
+        Returns value (NaN when bad), quality, kind of error for counting and a reason for people
+        (both empty when good). Never good unless the device said so in every respect.
         """
         if self.reading.exception:
             return self._refused(self.reading.exception, time_us)
@@ -156,14 +155,14 @@ class Point:
         return self._bad(Quality.BAD, kind, f"{where}: exception {code:02X}")
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class UnitMap:
     """All that is read from one unit at one interval (process seconds)."""
 
     unit: int
     interval_s: float
-    limits: Limits
-    points: list[Point]
+    limits: RequestLimits
+    points: list[PolledChannel]
     groups: list[Group]
     plans: list[PlanBinding]
     join_at: float = 0.0  # wall (monotonic) time at which what was split may be read together again
@@ -187,11 +186,9 @@ def check(
 ) -> None:
     """Check what is bound to a Modbus source; opens no connection.
 
-    Raises
-    ------
-    ConfigurationError
-        A channel is bound twice, its registers run past the last address or do not fit into one
-        read, or the gaps between the requests alone take longer than the intervals allow.
+    Raises `ConfigurationError`: a channel is bound twice, its registers run past the last address
+    or do not fit into one read, or the gaps between the requests alone take longer than the
+    intervals allow.
     """
     limits = limits_of(source)
     seen: set[tuple[str, str]] = set()
@@ -253,7 +250,7 @@ def compile_units(
     """
     limits = limits_of(source)
     units: dict[tuple[int, float], UnitMap] = {}
-    cells: dict[tuple[int, float], dict[Cell, Reading]] = {}
+    cells: dict[tuple[int, float], dict[RegisterCell, RawReading]] = {}
 
     def unit_map(unit_id: int | None, interval_s: float | None = None) -> UnitMap:
         unit = source.unit if unit_id is None else unit_id
@@ -266,13 +263,13 @@ def compile_units(
         unit = unit_map(config.unit_id, config.poll_interval_s)
         readings = cells[unit.unit, unit.interval_s]
         status_cell = _status_cell(config)
-        point = Point(
+        point = PolledChannel(
             asset=binding.asset,
             channel=binding.channel,
             config=config,
             unit=unit.unit,
-            reading=readings.setdefault(value_cell(config), Reading()),
-            status=readings.setdefault(status_cell, Reading()) if status_cell else None,
+            reading=readings.setdefault(value_cell(config), RawReading()),
+            status=readings.setdefault(status_cell, RawReading()) if status_cell else None,
             sentinels=_sentinels(binding, config),
             status_bits=tuple(sorted(config.status.bits.items())) if config.status else (),
             age_limit_us=1e6 * max(config.max_age_s or 60.0, 1.5 * rate),
@@ -285,13 +282,13 @@ def compile_units(
     return list(units.values())
 
 
-def value_cell(config: ModbusChannel) -> Cell:
+def value_cell(config: ModbusChannel) -> RegisterCell:
     """Say where a channel's raw value is, and how its registers make a number."""
     if config.type == "bool":
-        return Cell(config.kind, config.address, 1, "", False)
+        return RegisterCell(config.kind, config.address, 1, "", False)
     # With both orders big the bytes lie as ">": ABCD. Each order that is little reverses its own
     # level, so unpacking "<" undoes both and packing the registers little endian undoes one.
-    return Cell(
+    return RegisterCell(
         kind=config.kind,
         address=config.address,
         count=_WORDS[config.type],
@@ -300,15 +297,15 @@ def value_cell(config: ModbusChannel) -> Cell:
     )
 
 
-def _status_cell(config: ModbusChannel) -> Cell | None:
+def _status_cell(config: ModbusChannel) -> RegisterCell | None:
     status = config.status
     if status is None:
         return None
     kind = status.kind or config.kind
     if kind in BIT_KINDS:
-        return Cell(kind, status.address, max(status.bits) + 1, "", False)
+        return RegisterCell(kind, status.address, max(status.bits) + 1, "", False)
     swap = config.byte_order == "little" and config.kind not in BIT_KINDS
-    return Cell(kind, status.address, 1, ">H", swap)
+    return RegisterCell(kind, status.address, 1, ">H", swap)
 
 
 def _sentinels(binding: ChannelBinding, config: ModbusChannel) -> frozenset[float]:

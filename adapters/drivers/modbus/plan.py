@@ -4,6 +4,7 @@ import math
 import struct
 from collections.abc import AsyncGenerator, Sequence
 
+from adapters import AdapterError
 from adapters.drivers.modbus.config import PLAN_ROW_REGISTERS, ModbusPlan, Order
 from adapters.drivers.modbus.link import Link
 from adapters.samples import PlanStep
@@ -14,29 +15,16 @@ FASTEST_RPM = 1e6
 HEAVIEST_N = 1e8
 
 
-class ImplausiblePlanError(ValueError):
+class ImplausiblePlanError(AdapterError, ValueError):
     """The table does not hold a plan."""
 
 
 def decode_plan(registers: Sequence[int], word_order: Order) -> tuple[PlanStep, ...]:
     """Decode rows of uint32 duration_s, float32 speed_rpm and float32 load_n.
 
-    Parameters
-    ----------
-    registers
-        Six per row.
-    word_order
-        "big" when the high word comes first.
-
-    Returns
-    -------
-    tuple of PlanStep
-        Rows with a duration of zero are unused and left out.
-
-    Raises
-    ------
-    ImplausiblePlanError
-        A used row holds a value that cannot be.
+    Six registers per row; ``word_order`` is "big" when the high word comes first. Unused rows, with
+    a duration of zero, are left out. Raises `ImplausiblePlanError`: a used row holds a value that
+    cannot be.
     """
     # packed little endian, low word first becomes plain little endian
     order = "<" if word_order == "little" else ">"
@@ -65,10 +53,7 @@ async def read_rows(
 ) -> AsyncGenerator[None]:
     """Put all rows to `registers`, stopping after each request.
 
-    Raises
-    ------
-    ImplausiblePlanError
-        The table moved between two requests.
+    Raises `ImplausiblePlanError`: the table moved between two requests.
     """
     rows_per_read = link.source.registers_per_read_max // PLAN_ROW_REGISTERS
     most = rows_per_read * PLAN_ROW_REGISTERS

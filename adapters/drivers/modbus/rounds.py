@@ -16,18 +16,8 @@ Steps = AsyncGenerator[Batch | None]
 class Round:
     """All that is read at one interval, and how far that has come.
 
-    Attributes
-    ----------
-    interval_us : int
-        Process time.
-    parts : dict of int to UnitMap
-        By unit.
-    due_us : int
-        Process time at which it begins again.
-    steps : asynchronous generator or None
-        Its requests, while it is under way.
-    turn : int
-        Number of the turn in which it was last let go on.
+    ``steps``: its requests, while it is under way; ``turn``: number of the turn in which it was
+    last let go on.
     """
 
     interval_us: int
@@ -55,17 +45,7 @@ class Rounds:
     lasts) makes way for one request of the others between two of its rounds, so that these come
     to an end, too.
 
-    Parameters
-    ----------
-    clock
-        Process clock.
-    maps
-        What is read from each unit at each interval.
-
-    Attributes
-    ----------
-    skipped : int
-        Rounds left out because they came too late.
+    - ``skipped``: rounds left out because they came too late.
     """
 
     def __init__(self, clock: Clock, maps: Sequence[UnitMap]) -> None:

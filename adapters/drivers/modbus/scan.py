@@ -7,7 +7,7 @@ from itertools import product
 from typing import Final
 
 from adapters.drivers.modbus.config import Kind, ModbusChannel, ModbusSource, Order, ValueType
-from adapters.drivers.modbus.groups import Cell, Group, Reading
+from adapters.drivers.modbus.groups import Group, RawReading, RegisterCell
 from adapters.drivers.modbus.link import DeviceRefusedError, Link, LinkLostError, NoAnswerError
 from adapters.drivers.modbus.mapping import value_cell
 
@@ -38,38 +38,20 @@ class UnitAnswer:
 
 @dataclass(frozen=True, slots=True)
 class RegisterValue:
-    """One register, read in every way.
+    """One register, read in every way."""
 
-    Attributes
-    ----------
-    register
-        Its address on the wire.
-    word
-        Its 16 bits; None where the device has no such register.
-    values
-        By type, ``int16`` and ``uint16``; with the next register ``float32``, ``int32`` and
-        ``uint32`` in each order, as ``float32 CDAB``. NaN where the bits are no number.
-    """
-
-    register: int
-    word: int | None
+    register: int  # its address on the wire
+    word: int | None  # its 16 bits; None where the device has no such register
+    #: By type, ``int16`` and ``uint16``; with the next register ``float32``, ``int32`` and
+    #: ``uint32`` in each order, as ``float32 CDAB``. NaN where the bits are no number.
     values: Mapping[str, float]
 
 
 async def scan_units(source: ModbusSource, units: Sequence[int]) -> list[UnitAnswer]:
     """Ask units one by one for their first register.
 
-    Parameters
-    ----------
-    source
-        Where to ask; its ``timeout_s`` is given to each unit.
-    units
-        Their numbers.
-
-    Raises
-    ------
-    LinkLostError
-        If there is no connection to be had.
+    The ``timeout_s`` of the source is given to each unit. Raises `LinkLostError` if there is no
+    connection to be had.
     """
     link = Link(source)
     try:
@@ -83,12 +65,8 @@ async def read_registers(
 ) -> list[RegisterValue]:
     """Read neighbouring registers, and show each in every type and order.
 
-    Raises
-    ------
-    LinkLostError, NoAnswerError
-        If the unit does not answer.
-    DeviceRefusedError
-        If it refuses for another reason than that there is no such register.
+    Raises `LinkLostError` or `NoAnswerError` if the unit does not answer; `DeviceRefusedError` if
+    it refuses for another reason than that there is no such register.
     """
     link = Link(source)
     try:
@@ -102,14 +80,7 @@ async def read_registers(
 def in_every_way(kind: Kind, first: int, words: Sequence[int | None]) -> list[RegisterValue]:
     """Show registers in every type and order, decoded as the driver decodes a channel.
 
-    Parameters
-    ----------
-    kind
-        ``input`` or ``holding``.
-    first
-        Address of the first.
-    words
-        Their 16 bits each; None for one that is not there.
+    ``words``: their 16 bits each; None for one that is not there.
     """
     found = []
     for number, word in enumerate(words):
@@ -136,8 +107,8 @@ def _decoded(kind: Kind, words: Sequence[int], name: ValueType, order: str = "AB
         word_order=word_order,
         byte_order=byte_order,
     )
-    cell: Cell = value_cell(config)
-    reading = Reading()
+    cell: RegisterCell = value_cell(config)
+    reading = RawReading()
     Group(kind, [(cell, reading)]).store(words, 0)
     return reading.raw if math.isfinite(reading.raw) else math.nan
 

@@ -5,7 +5,7 @@ import math
 from collections.abc import AsyncIterator, Sequence
 
 from adapters.drivers.opcua.session import Session, SessionError
-from adapters.drivers.opcua.values import Point, moment_of, reading_of
+from adapters.drivers.opcua.values import FollowedNode, moment_of, reading_of
 from adapters.protocol import Clock
 from adapters.samples import Sample, is_bad
 
@@ -15,24 +15,16 @@ RETRY_S = 1.0
 
 
 async def fill_in(
-    session: Session, points: Sequence[Point], longest_s: float, clock: Clock
+    session: Session, points: Sequence[FollowedNode], longest_s: float, clock: Clock
 ) -> AsyncIterator[list[Sample]]:
     """Yield the samples inside the points' gaps, in the order of their times within each.
 
     A gap that is filled, or that the server has nothing of, is taken from its point; what stays
     open is said in its `history_problem`.
 
-    Parameters
-    ----------
-    session
-        Open.
-    points
-        With gaps: from the latest sample before a loss to the first after it, which both have been
-        handed over already.
-    longest_s
-        Longest span that is fetched, behind the end of a gap.
-    clock
-        Process clock.
+    - ``points``: with gaps: from the latest sample before a loss to the first after it, which both
+      have been handed over already.
+    - ``longest_s``: longest span that is fetched, behind the end of a gap.
     """
     for point in points:
         while point.gaps:
@@ -58,7 +50,7 @@ async def fill_in(
 
 
 async def _windows(
-    session: Session, point: Point, begin_us: int, end_us: int, clock: Clock
+    session: Session, point: FollowedNode, begin_us: int, end_us: int, clock: Clock
 ) -> AsyncIterator[list[Sample]]:
     tries = 0
     while begin_us < end_us:

@@ -112,10 +112,7 @@ def check(
 ) -> None:
     """Check an OPC UA source with everything bound to it; opens no connection.
 
-    Raises
-    ------
-    ConfigurationError
-        asyncua is not installed, a file or the password is missing, or a plan is bound.
+    Raises `ConfigurationError`, also without asyncua, and for a plan.
     """
     if find_spec("asyncua") is None:
         raise ConfigurationError(

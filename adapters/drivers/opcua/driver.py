@@ -13,7 +13,7 @@ from adapters.backoff import Backoff
 from adapters.drivers.opcua.backfill import fill_in
 from adapters.drivers.opcua.config import OpcUaChannel, OpcUaSource, check
 from adapters.drivers.opcua.session import Session, SessionError
-from adapters.drivers.opcua.values import Point, reading_of
+from adapters.drivers.opcua.values import FollowedNode, reading_of
 from adapters.protocol import ChannelBinding, Clock, PlanBinding, SourceHealth
 from adapters.samples import Batch, Quality, Sample, is_bad, is_good, next_time_us
 
@@ -22,7 +22,7 @@ logger = logging.getLogger(__name__)
 # Wall seconds.
 RECONNECT_FIRST_S = 0.5
 RECONNECT_LAST_S = 10.0
-UNCHANGED_S = 5.0  # a node that has told nothing for so long is read
+UNCHANGED_S = 5.0  # a node that was silent for so long is read
 LOG_INTERVAL_S = 10.0  # between two lines on the same channel
 HISTORY_WAITS = 4  # answers of the history that wait to be handed over
 PORTION = 1000  # samples of the history that are handed over at once
@@ -32,7 +32,7 @@ MOST_GAPS = 16  # of a channel that wait for the server's history
 class OpcUaDriver:
     """Follows the nodes of one OPC UA server, see `adapters.protocol.Driver`.
 
-    A server tells of changes only: a node that stays silent is read now and then, and its value
+    A server reports changes only: a node that stays silent is read now and then, and its value
     stands as of the server's time. After a loss the values of now come first, and what was missed
     follows from the server's history with its own times, as late samples do.
     """
@@ -49,14 +49,14 @@ class OpcUaDriver:
         self._clock = clock
         self._session = Session(source)
         self._points = [_point(binding) for binding in channels]
-        self._by_node: dict[str, list[Point]] = {}
+        self._by_node: dict[str, list[FollowedNode]] = {}
         for point in self._points:
             self._by_node.setdefault(point.config.node, []).append(point)
         self._health = SourceHealth(source.name, source.driver)
         self._problem = "not connected yet"
         self._was_connected = False
         self._lost = False  # the bad samples that mark the gap have been handed over
-        self._back: set[str] = set()  # channels that have told something since the connection
+        self._back: set[str] = set()  # channels with a value since the connection
         self._behind_us: int | None = None  # the server's clock behind ours, at most
         self._backoff = Backoff(RECONNECT_FIRST_S, RECONNECT_LAST_S)
         self._filling: asyncio.Task[None] | None = None
@@ -79,7 +79,7 @@ class OpcUaDriver:
         await self._close()
 
     def health(self) -> SourceHealth:
-        """Tell how the source is doing."""
+        """Give the state of the source."""
         health = self._health
         health.up = not self._problem
         wrong = [f"{one.label}: {one.problem}" for one in self._points if one.problem]
@@ -98,7 +98,7 @@ class OpcUaDriver:
         )
 
     async def batches(self) -> AsyncIterator[Batch]:
-        """Yield what the server tells without end; cancel to stop."""
+        """Yield what the server reports without end; cancel to stop."""
         try:
             while True:
                 try:
@@ -180,7 +180,7 @@ class OpcUaDriver:
             if (sample := self._sample(point, value, now_us, stands)) is not None
         ]
 
-    def _sample(self, point: Point, value: Any, now_us: int, stands: bool) -> Sample | None:
+    def _sample(self, point: FollowedNode, value: Any, now_us: int, stands: bool) -> Sample | None:
         reading = reading_of(value, point.config, now_us)
         time_us = reading.time_us
         first = point.label not in self._back
@@ -216,7 +216,7 @@ class OpcUaDriver:
         return Sample(point.asset, point.channel, time_us, number, reading.quality, received_us)
 
     def _server_us(self, now_us: int) -> int:
-        """Return what time it is by the server's clock, as far as its values tell."""
+        """Return what time it is by the server's clock, as far as its values show."""
         return now_us - (self._behind_us or 0)
 
     def _refuse(self, refused: dict[str, str]) -> list[Sample]:
@@ -243,7 +243,7 @@ class OpcUaDriver:
             samples.append(self._bad(point, Quality.COMM_FAILURE, now_us))
         return samples
 
-    def _bad(self, point: Point, quality: Quality, now_us: int) -> Sample:
+    def _bad(self, point: FollowedNode, quality: Quality, now_us: int) -> Sample:
         point.last_us = time_us = next_time_us(point.last_us, self._server_us(now_us))
         point.heard_us = now_us
         self._health.samples += 1
@@ -257,7 +257,7 @@ class OpcUaDriver:
         if points:
             self._filling = asyncio.create_task(self._fill_in(session, points))
 
-    async def _fill_in(self, session: Session, points: Sequence[Point]) -> None:
+    async def _fill_in(self, session: Session, points: Sequence[FollowedNode]) -> None:
         counted = {point.label: point.history_problem for point in points}
         filled = fill_in(session, points, self._source.backfill_max_s, self._clock)
         async for samples in filled:
@@ -269,8 +269,8 @@ class OpcUaDriver:
                     "source %s: channel %s: %s", self.name, point.label, point.history_problem
                 )
 
-    def _note(self, point: Point, quality: int, kind: str, reason: str) -> None:
-        """Count what is wrong with a channel, and tell of it when it changes."""
+    def _note(self, point: FollowedNode, quality: int, kind: str, reason: str) -> None:
+        """Count what is wrong with a channel, and log it when it changes."""
         if kind:
             self._health.count_error(kind)
         if reason != point.problem:
@@ -293,7 +293,7 @@ class OpcUaDriver:
         if filling is not None:
             filling.cancel()
             await asyncio.gather(filling, return_exceptions=True)
-        # Of history that nobody has taken the gap is open again.
+        # Of history that was not taken the gap is open again.
         while not self._history.empty():
             self._reopen(self._history.get_nowait())
         await self._session.close()
@@ -309,7 +309,7 @@ class OpcUaDriver:
                 point.gaps.insert(0, (min(own) - 1, max(own) + 1))
 
 
-def _point(binding: ChannelBinding) -> Point:
+def _point(binding: ChannelBinding) -> FollowedNode:
     if not isinstance(binding.config, OpcUaChannel):
         raise TypeError(f"{binding.asset}/{binding.channel}: expected an OpcUaChannel")
-    return Point(binding.asset, binding.channel, binding.config)
+    return FollowedNode(binding.asset, binding.channel, binding.config)

@@ -16,6 +16,7 @@ from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 from asyncua.ua.uaerrors import UaError
 from cryptography import x509
 
+from adapters import AdapterError
 from adapters.drivers.opcua.config import OpcUaSource
 
 # Whatever goes wrong is reported once, by the driver; the library logs every failed attempt.
@@ -32,26 +33,16 @@ WENT_WRONG = (OSError, asyncio.TimeoutError, UaError, asyncio.IncompleteReadErro
 """What the library raises when a server is away, hangs or talks nonsense."""
 
 
-class SessionError(Exception):
+class SessionError(AdapterError):
     """The server cannot be used now; the message says why."""
 
 
 class Session:
     """A connection with its subscription.
 
-    Parameters
-    ----------
-    source
-        Server.
-
-    Attributes
-    ----------
-    changed : asyncio.Event
-        Set when notifications wait, or the connection is lost.
-    lost : str
-        Why the connection is of no use any more; empty while it is.
-    dropped : int
-        Notifications that nobody took in time.
+    - ``changed``: set when notifications wait, or the connection is lost.
+    - ``lost``: why the connection is of no use any more; empty while it is.
+    - ``dropped``: notifications that were not taken in time.
     """
 
     def __init__(self, source: OpcUaSource) -> None:
@@ -65,17 +56,9 @@ class Session:
         self.dropped = 0
 
     async def open(self, nodes: Iterable[str]) -> dict[str, str]:
-        """Connect and subscribe to nodes.
+        """Connect and subscribe to nodes; returns those that the server does not give, and why.
 
-        Returns
-        -------
-        dict of str to str
-            Nodes that the server does not give, and what it says of them.
-
-        Raises
-        ------
-        SessionError
-            Not reached, not let in, or another server than the pinned one.
+        Raises `SessionError`: not reached, not let in, or another server than the pinned one.
         """
         try:
             await self._connect()
@@ -106,13 +89,7 @@ class Session:
         return found
 
     async def read(self, nodes: Sequence[str]) -> list[tuple[str, Any]]:
-        """Read nodes as they are now, those whose names the server knows.
-
-        Raises
-        ------
-        SessionError
-            The server does not answer.
-        """
+        """Read nodes whose names the server knows. Raises `SessionError` if it does not answer."""
         known = [name for name in nodes if name in self._nodes]
         found: list[tuple[str, Any]] = []
         try:
@@ -129,13 +106,7 @@ class Session:
         return found
 
     async def history(self, node: str, begin: Any, end: Any) -> list[Any]:
-        """Read what the server has recorded of a node, ends included.
-
-        Raises
-        ------
-        SessionError
-            It has no history, or does not answer.
-        """
+        """Read the recorded values of a node, ends included. Raises `SessionError`."""
         try:
             found = self._client.get_node(self._nodes[node])
             values = await found.read_raw_history(begin, end, return_bounds=False)
@@ -151,7 +122,7 @@ class Session:
         self.changed.set()
 
     def status_change_notification(self, status: Any) -> None:
-        """Take note that the server has ended the subscription (the library's name)."""
+        """Record that the server has ended the subscription (the library's name)."""
         self._lose(f"the server ended the subscription: {getattr(status, 'Status', status)}")
 
     async def _connect(self) -> None:

@@ -13,11 +13,11 @@ FUTURE_US = 60_000_000  # a source time further ahead than this is none
 _EARLIEST_US = 946_684_800_000_000  # the year 2000; before it no clock has been set
 
 
-class Reading(NamedTuple):
+class NodeReading(NamedTuple):
     """A value of a node.
 
     `kind` and `reason` say what is wrong with it, for counting and for people; empty when it is
-    good. `overflown` tells that the server lost values before it.
+    good. `overflown` means that the server lost values before it.
     """
 
     time_us: int
@@ -29,7 +29,7 @@ class Reading(NamedTuple):
 
 
 @dataclass(slots=True)
-class Point:
+class FollowedNode:
     """A channel with its standing. Times are process time in microseconds."""
 
     asset: str
@@ -49,18 +49,8 @@ class Point:
         return f"{self.asset}/{self.channel}"
 
 
-def reading_of(found: Any, config: OpcUaChannel, now_us: int) -> Reading:
-    """Turn a data value into a reading; never good unless it is in every respect.
-
-    Parameters
-    ----------
-    found : asyncua.ua.DataValue
-        As the server gave it.
-    config
-        Channel.
-    now_us
-        Process time, for what has no time of its own.
-    """
+def reading_of(found: Any, config: OpcUaChannel, now_us: int) -> NodeReading:
+    """Turn a data value into a reading; never good unless it is in every respect."""
     code = int(found.StatusCode.value) if found.StatusCode is not None else 0
     quality = quality_of(code)
     kind, reason, value = "", "", math.nan
@@ -84,7 +74,7 @@ def reading_of(found: Any, config: OpcUaChannel, now_us: int) -> Reading:
         if is_good(quality):
             quality, kind = int(Quality.UNCERTAIN), "time"
             reason = "no source time" if missing else "source time lies in the future"
-    return Reading(time_us, value, quality, kind, reason, has_overflown(code))
+    return NodeReading(time_us, value, quality, kind, reason, has_overflown(code))
 
 
 def microseconds(moment: datetime | None) -> int | None:

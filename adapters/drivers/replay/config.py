@@ -15,7 +15,7 @@ class ReplaySource(SourceConfig):
     """A recorded file.
 
     `speed` is how much faster than process time it is played, stamped with process time; 0 plays
-    as fast as it can be taken in, with the times of the file. A CAN log needs a `dbc`. Relative
+    as fast as it can be stored, with the times of the file. A CAN log needs a `dbc`. Relative
     paths are taken relative to ``context={"base_dir": ...}`` on validation.
     """
 

@@ -60,7 +60,7 @@ class ReplayDriver:
         self._health.up = False
 
     def health(self) -> SourceHealth:
-        """Tell how far the file has been played."""
+        """Say how far the file has been played."""
         return self._health
 
     async def batches(self) -> AsyncIterator[Batch]:
@@ -111,14 +111,7 @@ class ReplayDriver:
 def check(
     source: ReplaySource, channels: Sequence[ChannelBinding], plans: Sequence[PlanBinding]
 ) -> None:
-    """Check a file with everything bound to it.
-
-    Raises
-    ------
-    ConfigurationError
-        The file cannot be read, or a column, message or signal is not in it; or a plan, which a
-        file cannot carry.
-    """
+    """Check a file with everything bound to it. Raises `ConfigurationError`, also for a plan."""
     if plans:
         raise ConfigurationError(
             f"plan of {plans[0].asset}: source {source.name!r} is a file, "

@@ -21,18 +21,10 @@ Cells = Mapping[str, tuple[float, int]]
 def open_recording(path: Path) -> Iterator[tuple[list[str] | None, Iterator[tuple[int, Cells]]]]:
     """Open a recorded table.
 
-    Yields
-    ------
-    columns : list of str or None
-        Columns with values; None for a table with one sample per row, which names them itself.
-    rows : iterator
-        Time in microseconds (of the epoch, or from zero for ``time_s``) and cells. A row whose
-        time cannot be read, or which is broken, is left out.
-
-    Raises
-    ------
-    ConfigurationError
-        If the file cannot be read or has no column of times.
+    Yields the columns with values (None for a table with one sample per row, which names them
+    itself), and the rows: time in microseconds (of the epoch, or from zero for ``time_s``) and
+    cells. A row whose time cannot be read, or which is broken, is left out. Raises
+    `ConfigurationError` if the file cannot be read or has no column of times.
     """
     try:
         with open_table(path) as (names, rows):

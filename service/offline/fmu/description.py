@@ -27,24 +27,17 @@ _BASE_UNITS = {
 # Derivatives are smooth but for changes of the inputs; a solver of higher order pays.
 _EXPERIMENT = {"startTime": "0", "stopTime": "3600", "tolerance": "1e-10", "stepSize": "60"}
 
+#: As in sources/fmi2.c and fmi3.c.
+_LOG_CATEGORY = {"name": "logStatusError", "description": "why something is refused"}
+
 
 def description(
     fmi: int, name: str, token: str, variables: Sequence[Variable], sources: Sequence[str]
 ) -> bytes:
     """Return ``modelDescription.xml``.
 
-    Parameters
-    ----------
-    fmi
-        2 or 3.
-    name
-        The model's, for people.
-    token
-        By which the library knows whether the description is its own.
-    variables
-        In order.
-    sources
-        Names of the C files, which the description of FMI 2.0 lists.
+    ``token``: by which the library knows whether the description is its own; ``sources``: names of
+    the C files, which the description of FMI 2.0 lists.
     """
     root = Element(
         "fmiModelDescription",
@@ -65,6 +58,8 @@ def description(
     }
     for kind in ("ModelExchange", "CoSimulation"):
         interface = SubElement(root, kind, {"modelIdentifier": IDENTIFIER} | copies)
+        if fmi == 2:  # it allocates its memory itself
+            interface.set("canNotUseMemoryManagementFunctions", "true")
         if kind == "CoSimulation":
             interface.set("canHandleVariableCommunicationStepSize", "true")
         if fmi == 2:
@@ -76,6 +71,8 @@ def description(
         definition = SubElement(units, "Unit", {"name": unit})
         if unit in _BASE_UNITS:
             SubElement(definition, "BaseUnit", _BASE_UNITS[unit])
+    categories = SubElement(root, "LogCategories")
+    SubElement(categories, "Category", _LOG_CATEGORY)
     SubElement(root, "DefaultExperiment", _EXPERIMENT)
     listed = SubElement(root, "ModelVariables")
     for variable in variables:
@@ -125,6 +122,9 @@ def _attributes(variable: Variable) -> dict[str, str]:
 
 def _value(variable: Variable) -> dict[str, str]:
     found = {"unit": variable.unit} if variable.unit else {}
+    if variable.range is not None:
+        low, high = variable.range
+        found |= {"min": repr(low), "max": repr(high)}
     return found if variable.start is None else found | {"start": repr(float(variable.start))}
 
 

@@ -22,12 +22,8 @@ _LICENCES = "documentation/licenses/license.txt"
 class Exported:
     """What an FMU holds.
 
-    Attributes
-    ----------
-    token
-        Digest of the model and of the sources; a library refuses a description of another one.
-    variables
-        All of them.
+    ``token``: digest of the model and of the sources; a library refuses a description of another
+    one.
     """
 
     token: str
@@ -41,21 +37,9 @@ class Exported:
 def export_model(identified: IdentifiedModel, fmi: int, path: Path) -> Exported:
     """Write a model as an FMU for co-simulation and model exchange.
 
-    Parameters
-    ----------
-    identified
-        The model; its most probable parameters are the start values of the FMU's parameters.
-    fmi
-        Version of the standard, 2 or 3.
-    path
-        The file.
-
-    Raises
-    ------
-    FmuError
-        If the model has parts that the FMU does not know, or the library cannot be built.
-    FileError
-        If the file cannot be written.
+    Its most probable parameters are the start values of the FMU's parameters. Raises `FmuError` if
+    the model has parts that the FMU does not know, or the library cannot be built; `FileError` if
+    the file cannot be written.
     """
     variables = variables_of(identified)
     sources = fixed_sources(fmi)

@@ -12,7 +12,7 @@ from typing import Final
 from service.offline.fmu.errors import FmuError
 
 # One library serves any processor of the kind with the same bits: nothing of this processor's own
-# and no arithmetic beyond the letter. Symbols are bound inside, as many FMUs meet in one process.
+# and no arithmetic beyond the standard's. Symbols are bound inside: one process may load many FMUs.
 _OPTIONS: Final = (
     "-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-shared", "-fPIC",
     "-fvisibility=hidden", "-Wl,-Bsymbolic", "-static-libgcc", "-s",
@@ -35,10 +35,7 @@ def fixed_sources(fmi: int) -> dict[str, bytes]:
 def compile_library(sources: Mapping[str, bytes], options: Sequence[str] = _OPTIONS) -> bytes:
     """Compile C files, by name, into a shared library for Linux on x86-64.
 
-    Raises
-    ------
-    FmuError
-        If this machine is another one, there is no C compiler, or it fails.
+    Raises `FmuError` if this machine is another one, there is no C compiler, or it fails.
     """
     system, machine = platform.system(), platform.machine()
     if (system, machine) != ("Linux", "x86_64"):
@@ -62,6 +59,6 @@ def compile_library(sources: Mapping[str, bytes], options: Sequence[str] = _OPTI
             raise FmuError(f"{compiler}: cannot be run ({error})") from error
         if done.returncode:
             lines = done.stderr.strip().splitlines()
-            told = next((line for line in lines if "error" in line), "".join(lines[:1]))
-            raise FmuError(f"{compiler}: ended with {done.returncode} ({told})")
+            reason = next((line for line in lines if "error" in line), "".join(lines[:1]))
+            raise FmuError(f"{compiler}: ended with {done.returncode} ({reason})")
         return Path(folder, "library.so").read_bytes()

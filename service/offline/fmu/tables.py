@@ -66,10 +66,7 @@ def header(identified: IdentifiedModel, token: str) -> str:
 def numbers(identified: IdentifiedModel, variables: Sequence[Variable]) -> str:
     """Return ``model.c``: the network's coefficients, the sensors' weights and all starts.
 
-    Raises
-    ------
-    FmuError
-        If a part of the network is of a kind that the C sources do not know.
+    Raises `FmuError` if a part of the network is of a kind that the C sources do not know.
     """
     model, net = identified.model, identified.model.compiled
     for kind in net.edge_kind.tolist():

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import Final, Literal
 
+from adapters.configuration import first_repeated
 from service.domain.channels import AMBIENT, LOAD, SPEED
 from service.offline.fmu.errors import FmuError
 from service.offline.model_file import IdentifiedModel
@@ -20,7 +21,7 @@ INITIAL_REVOLUTIONS: Final = 4001
 INDEPENDENT_TIME: Final = 9999
 
 INITIAL_TEMPERATURE_C: Final = 20.0
-"""Start of `initial_temperature_c` and of temperatures outside, where nobody gives another."""
+"""Start of `initial_temperature_c` and of temperatures outside, unless another is given."""
 
 _OPERATION = ((SPEED, "rpm", "speed of the shaft"), (LOAD, "N", "load on the bearing"))
 _BY_ENDING = {"_c": "degC", "_a": "A", "_w": "W", "_v": "V", "_rpm": "rpm", "_n": "N"}
@@ -30,18 +31,12 @@ _BY_ENDING = {"_c": "degC", "_a": "A", "_w": "W", "_v": "V", "_rpm": "rpm", "_n"
 class Variable:
     """A variable of the model description.
 
-    Attributes
-    ----------
-    name, reference
-        Unique; the reference is the one of sources/instance.h.
-    causality, variability
-        As the standard has them.
-    start
-        None where the model calculates it.
-    unit
-        Empty without one.
-    state
-        Reference of the continuous state of which this is the derivative, or None.
+    - ``name``, ``reference``: unique; the reference is the one of sources/instance.h.
+    - ``causality``, ``variability``: as the standard has them.
+    - ``start``: None where the model calculates it.
+    - ``unit``: empty without one.
+    - ``state``: reference of the continuous state of which this is the derivative, or None.
+    - ``range``: smallest and largest value that makes sense, or None.
     """
 
     name: str
@@ -52,15 +47,13 @@ class Variable:
     unit: str = ""
     start: float | None = None
     state: int | None = None
+    range: tuple[float, float] | None = None
 
 
 def variables_of(identified: IdentifiedModel) -> tuple[Variable, ...]:
     """List the variables of a model: outputs, other states, derivatives, inputs, parameters.
 
-    Raises
-    ------
-    FmuError
-        If two of them have the same name.
+    Raises `FmuError` if two of them have the same name.
     """
     model = identified.model
     nodes = model.node_names
@@ -94,12 +87,12 @@ def variables_of(identified: IdentifiedModel) -> tuple[Variable, ...]:
     found += _inputs(identified)
     found += _parameters(identified)
     names = [variable.name for variable in found]
-    for name in names:
-        if names.count(name) > 1 or name == "time":
-            raise FmuError(
-                f"network {model.name!r}: the name {name!r} is taken in an FMU; expected another "
-                "name of the channel"
-            )
+    taken = first_repeated(["time", *names])
+    if taken is not None:
+        raise FmuError(
+            f"network {model.name!r}: the name {taken!r} is taken in an FMU; expected another "
+            "name of the channel"
+        )
     return tuple(found)
 
 
@@ -162,8 +155,11 @@ def _parameters(identified: IdentifiedModel) -> list[Variable]:
             initial_revolutions(identified),
         ),
     ]
-    parameters = identified.model.parameters.parameters
-    for place, (one, value) in enumerate(zip(parameters, identified.values.tolist(), strict=True)):
+    parameters = identified.model.parameters
+    ranges = zip(parameters.lower.tolist(), parameters.upper.tolist(), strict=True)
+    for place, (one, value, (low, high)) in enumerate(
+        zip(parameters.parameters, identified.values.tolist(), ranges, strict=True)
+    ):
         found.append(
             Variable(
                 f"parameter.{one.name}",
@@ -173,6 +169,7 @@ def _parameters(identified: IdentifiedModel) -> list[Variable]:
                 one.description,
                 "" if one.unit == "-" else one.unit,
                 value,
+                range=(min(low, value), max(high, value)),
             )
         )
     return found

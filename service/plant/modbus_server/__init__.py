@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from service.plant.modbus_server.register_map import map_of
+from service.plant.modbus_server.register_map import map_of, without_room
 from service.plant.protocol import Endpoint, Publisher, PublisherEntry
 from service.security.loopback import is_loopback
 from service.site.settings import Settings
@@ -27,12 +27,14 @@ def _listens(settings: Settings) -> Endpoint:
 
 
 def _warn(settings: Settings) -> Sequence[str]:
+    lines = without_room(settings)
     host = settings.modbus_server.host
     if is_loopback(host):
-        return ()
+        return lines
     return (
-        f"modbus_server.host = {host!r}: whoever reaches this address can read the values, since "
-        "Modbus has no keys and no encryption; let a firewall admit the PLC alone",
+        *lines,
+        f"modbus_server.host = {host!r}: anyone with access to this address can read the values, "
+        "since Modbus has no keys and no encryption; let a firewall admit the PLC alone",
     )
 
 

@@ -1,19 +1,24 @@
 """What the registers and bits hold at the moment of a request.
 
 Nothing is kept between requests: each answer is made of one look at the snapshot, without a pause
-in between, so that no answer mixes two moments, and so that values that nobody renews get old by
+in between, so that no answer mixes two moments, and so that values that are not renewed get old by
 themselves.
 """
 
 import math
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Final
 
 from adapters.samples import Quality, is_bad, is_good
 from service.clock import MICROSECONDS, from_rfc3339
 from service.plant.modbus_server import register_map
-from service.plant.modbus_server.permissive import ALARMS_ACTIVE, TRUSTED, may_begin
+from service.plant.modbus_server.permissive import (
+    ALARMS_ACTIVE,
+    TRUSTED,
+    are_usable,
+    may_begin,
+)
 from service.plant.modbus_server.register_map import (
     FIRST_TAG,
     PERMISSIVE,
@@ -34,22 +39,7 @@ TagsOf = Callable[[str], Mapping[str, TagValue] | None]
 
 
 class Image:
-    """The registers and bits.
-
-    Parameters
-    ----------
-    map : RegisterMap
-        What is where.
-    tags_of : callable
-        The tags of an asset at this moment.
-    now_us : callable
-        Process time.
-
-    Attributes
-    ----------
-    heartbeat : int
-        0 to 65535; counted by whoever keeps it alive.
-    """
+    """The registers and bits."""
 
     def __init__(self, map: RegisterMap, tags_of: TagsOf, now_us: Callable[[], int]) -> None:
         self.heartbeat = 0
@@ -91,7 +81,7 @@ class Image:
         status = 0
         for number, (asset, inputs) in enumerate(self._map.assets.items()):
             tags = look(asset)
-            status |= _status(tags)
+            status |= _status(tags, inputs)
             words[PERMISSIVE + number] = int(may_begin(tags, inputs))
         words[register_map.STATUS] = status
         return words
@@ -110,13 +100,15 @@ class _Look:
         return self._seen[asset]
 
 
-def _status(tags: Mapping[str, TagValue] | None) -> int:
+def _status(tags: Mapping[str, TagValue] | None, inputs: Collection[str]) -> int:
     """Bits of one asset; what is not known for certain counts as bad."""
     active = None if tags is None else tags.get(ALARMS_ACTIVE)
     if tags is None or active is None or not is_good(active["quality"]):
         return OLD | NOT_TRUSTED
     trusted = tags.get(TRUSTED)
-    status = 0 if trusted is not None and trusted["value"] == 1 else NOT_TRUSTED
+    status = 0 if are_usable(tags, inputs) else OLD
+    if trusted is None or trusted["value"] != 1:
+        status |= NOT_TRUSTED
     return status if active["value"] == 0 else status | ALARM_ACTIVE
 
 

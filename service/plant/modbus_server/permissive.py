@@ -20,24 +20,21 @@ _MUST_BE: Final = {NOW: CODES["safe"], NEXT_STEP: CODES["safe"], TRUSTED: 1}
 
 
 def may_begin(tags: Mapping[str, TagValue] | None, inputs: Collection[str]) -> bool:
-    """Tell whether the next step may begin.
-
-    Parameters
-    ----------
-    tags : mapping of str to TagValue, or None
-        All tags of the asset at this moment; None where there are none.
-    inputs : collection of str
-        Channels that the verdict needs.
-    """
+    """Whether the next step may begin."""
     if tags is None:
         return False
-    return all(tag in tags and is_usable(tags[tag]) for tag in (*inputs, ALARMS_ACTIVE)) and all(
+    return are_usable(tags, (*inputs, ALARMS_ACTIVE)) and all(
         tag in tags and is_usable(tags[tag]) and tags[tag]["value"] == value
         for tag, value in _MUST_BE.items()
     )
 
 
+def are_usable(tags: Mapping[str, TagValue], names: Collection[str]) -> bool:
+    """Whether every tag of these names has a number of good quality."""
+    return all(name in tags and is_usable(tags[name]) for name in names)
+
+
 def is_usable(shown: TagValue) -> bool:
-    """Tell whether a tag has a number of good quality."""
+    """Whether a tag has a number of good quality."""
     value = shown["value"]
     return is_good(shown["quality"]) and value is not None and math.isfinite(value)

@@ -22,13 +22,6 @@ class ModbusPublisher:
 
     Each request is answered from the snapshot of its moment (`Host.tags_of`), so that there is
     nothing to publish and no copy that could get old unnoticed.
-
-    Parameters
-    ----------
-    section : ModbusServerSection
-        The configuration.
-    map : RegisterMap
-        What is where.
     """
 
     def __init__(self, section: ModbusServerSection, map: RegisterMap) -> None:

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
+from adapters.configuration import listed
 from service.domain.channels import unit_of
 from service.site.asset_section import ASSET_ID, AssetSection
 from service.site.configuration import SettingsError
@@ -28,6 +29,7 @@ MOST_TAGS: Final = (_ADDRESSES - FIRST_TAG) // TAG_REGISTERS
 #: Tags that every asset has, after those of its temperatures.
 _OF_EVERY_ASSET: Final = (
     "verdict.now",
+    "verdict.present_step",
     "verdict.next_step",
     "alarms.active",
     "alarms.unacknowledged",
@@ -61,14 +63,10 @@ class Entry(NamedTuple):
 class RegisterMap:
     """The registers of a configuration.
 
-    Attributes
-    ----------
-    assets : mapping of str to tuple of str
-        Assets with a permissive, in its order, each with the channels that a verdict needs.
-    tags : sequence of MappedTag
-        In the order of their registers.
-    version : int
-        1 to 65535; another one when anything in the map changes (but for one change of 65,535).
+    - ``assets``: assets with a permissive, in its order, each with the channels that a verdict
+      needs.
+    - ``version``: 1 to 65535; another one when anything in the map changes (but for one change of
+      65,535).
     """
 
     assets: Mapping[str, tuple[str, ...]]
@@ -88,22 +86,21 @@ class RegisterMap:
 def map_of(settings: Settings) -> RegisterMap:
     """Make the map of a configuration.
 
-    Raises
-    ------
-    SettingsError
-        If a tag cannot be one, or there are too many; names the key.
+    Raises `SettingsError` if a tag cannot be one, or there are too many; names the key.
     """
     known = {asset.id: asset for asset in settings.assets}
     given = settings.modbus_server.tags
     if given:
         tags = [_tag(text, number, known) for number, text in enumerate(given)]
     else:
-        tags = [MappedTag(asset.id, tag) for asset in known.values() for tag in _usual(asset)]
+        tags = [MappedTag(asset.id, tag) for asset in _with_room(settings) for tag in _usual(asset)]
+    seen: set[MappedTag] = set()
     for number, tag in enumerate(tags):
-        if given and tag in tags[:number]:
+        if given and tag in seen:
             raise SettingsError(
                 f"modbus_server.tags[{number}] = {given[number]!r}: is there twice; expected once"
             )
+        seen.add(tag)
     names = list(dict.fromkeys(tag.asset for tag in tags))
     for what, count, most in (("assets", len(names), MOST_ASSETS), ("tags", len(tags), MOST_TAGS)):
         if count > most:
@@ -115,6 +112,30 @@ def map_of(settings: Settings) -> RegisterMap:
     version = int.from_bytes(hashlib.blake2b(text, digest_size=2).digest(), "big") or 1
     needed = {name: tuple(required_channels(known[name])) for name in names}
     return RegisterMap(needed, tags, version)
+
+
+def without_room(settings: Settings) -> list[str]:
+    """Name the assets that have no place where the configuration lists no tags, in one line."""
+    if settings.modbus_server.tags:
+        return []
+    left = [one.id for one in settings.assets[len(_with_room(settings)) :]]
+    if not left:
+        return []
+    return [
+        f"modbus_server: no room for {len(left)} of {len(settings.assets)} assets "
+        f"({listed(left, 3)}): expected at most {MOST_ASSETS} assets and {MOST_TAGS} tags; list in "
+        "modbus_server.tags those that the PLC needs"
+    ]
+
+
+def _with_room(settings: Settings) -> Sequence[AssetSection]:
+    """The first assets of the file, as many as there is room for with their usual tags."""
+    room = MOST_TAGS
+    for number, asset in enumerate(settings.assets[:MOST_ASSETS]):
+        room -= len(_usual(asset))
+        if room < 0:
+            return settings.assets[:number]
+    return settings.assets[:MOST_ASSETS]
 
 
 def _tag(text: str, number: int, known: Mapping[str, AssetSection]) -> MappedTag:

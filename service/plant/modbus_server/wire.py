@@ -1,7 +1,7 @@
 """Modbus TCP, reading only: there is no code here that could write anything.
 
 The library of the Modbus driver has a server too, but one without a bound on connections and on
-answers that nobody takes, and with registers that every client may write unless it is held back.
+answers that no client takes, and with registers that every client may write unless it is held back.
 """
 
 import asyncio
@@ -51,12 +51,9 @@ class _Connection:
 class ReadingServer:
     """Answers the function codes 1 to 4, for every unit; all others with "illegal function".
 
-    Parameters
-    ----------
-    registers : callable
-        Gives registers from an address on, as many as asked for; None beyond their end.
-    bits : callable
-        The same for bits.
+    - ``registers``: gives registers from an address on, as many as asked for; None beyond their
+      end.
+    - ``bits``: the same for bits.
     """
 
     def __init__(self, registers: Registers, bits: Bits) -> None:
@@ -67,13 +64,7 @@ class ReadingServer:
         self._server: asyncio.Server | None = None
 
     async def listen(self, host: str, port: int) -> None:
-        """Listen.
-
-        Raises
-        ------
-        OSError
-            If the address cannot be had.
-        """
+        """Listen. Raises `OSError` if the address cannot be had."""
         self._server = await asyncio.start_server(self._accept, host, port, limit=_LONGEST_PDU + 7)
 
     async def close(self) -> None:

@@ -8,14 +8,17 @@ Below the prefix of the configuration:
     ``{"value", "unit", "quality", "time"}`` as in the snapshot, retained. For a tag that is gone
     an empty payload follows, which has the broker forget the topic.
 ``ASSET/alarms``
-    Every change of an alarm as one document, not retained.
+    Every change of an alarm as one document, not retained; ``service/alarms`` of one that several
+    assets have.
+``service/alarms/ID``
+    Each alarm that is not over, retained; an empty payload when it is.
 """
 
 import asyncio
 import contextlib
 import json
 import ssl
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 
 import structlog
 from aiomqtt import Client, MqttError, Will
@@ -31,17 +34,13 @@ _log = structlog.get_logger(__name__)
 
 
 class MqttPublisher:
-    """Publishes over one connection to a broker; see `service.plant.protocol.Publisher`.
-
-    Parameters
-    ----------
-    section
-        The configuration.
-    """
+    """Publishes over one connection to a broker; see `service.plant.protocol.Publisher`."""
 
     def __init__(self, section: MqttSection) -> None:
         self._section = section
         self._client: Client | None = None
+        # Ids of the alarms that are not over; None while that is not known.
+        self._open: set[str] | None = None
 
     async def open(self, host: Host) -> None:
         """Connect."""
@@ -65,12 +64,28 @@ class MqttPublisher:
             raise MqttError(f"{section.host}:{section.port}: {error}") from error
         self._client = client
         await client.publish(self._topic("status"), b"online", qos=1, retain=True)
+        await self._keep_open_alarms(client, await host.open_alarms())
         _log.info("mqtt_connected", host=section.host, port=section.port)
 
+    async def _keep_open_alarms(
+        self, client: Client, alarms: Sequence[Mapping[str, object]] | None
+    ) -> None:
+        """Retain what is open now, and ask the broker for what was retained before."""
+        self._open = None if alarms is None else {str(alarm["id"]) for alarm in alarms}
+        for alarm in alarms or ():
+            await self._retain_alarm(alarm)
+        with contextlib.suppress(MqttError):  # a broker may forbid it: what is over stays then
+            await client.subscribe(self._topic("service", "alarms", "+"), qos=1)
+
     async def run(self) -> None:
-        """Raise `MqttError` when the connection is gone, even if there is nothing to publish."""
-        async for _ in self._connected.messages:
-            pass
+        """Have the broker forget alarms that ended while we were away.
+
+        It raises `MqttError` when the connection is gone, even if there is nothing to publish.
+        """
+        async for message in self._connected.messages:
+            name = str(message.topic).rpartition("/")[2]
+            if message.payload and self._open is not None and name not in self._open:
+                await self._retain("service/alarms", {name: b""})
 
     async def publish_tags(self, asset: str, tags: Mapping[str, TagValue]) -> Collection[str]:
         """Publish tags, each with the broker's acknowledgement."""
@@ -87,6 +102,14 @@ class MqttPublisher:
         """Publish an alarm, with the broker's acknowledgement."""
         topic = self._topic(asset or "service", "alarms")
         await self._connected.publish(topic, json.dumps(alarm), qos=1)
+        await self._retain_alarm(alarm)
+
+    async def _retain_alarm(self, alarm: Mapping[str, object]) -> None:
+        name, is_over = str(alarm["id"]), alarm.get("state") == "NORM"
+        if self._open is not None:
+            (self._open.discard if is_over else self._open.add)(name)
+        payload = b"" if is_over else json.dumps(alarm).encode()
+        await self._retain("service/alarms", {name: payload})
 
     async def close(self) -> None:
         """Say that we are offline, since the broker keeps the will to itself, and disconnect."""

@@ -22,9 +22,10 @@ from asyncua.server.internal_server import InternalServer
 from numpy.typing import NDArray
 
 from service.clock import HOUR_US
+from service.domain.errors import BearingTwinError
 from service.plant.opcua.history_encoding import history_data, status_codes
 from service.store import StoreUnavailableError
-from service.store.blocks import Samples
+from service.store.blocks import ChannelSamples
 from service.store.buckets import Bucket
 from service.store.channel_history import ChannelHistory
 
@@ -53,7 +54,7 @@ AGGREGATES: Final[Mapping[int, Callable[[Bucket], float | None]]] = {
 """Number of an aggregate function, and what it takes of the statistics of an interval."""
 
 
-class _RefusedError(Exception):
+class _RefusedError(BearingTwinError):
     """A node of a request cannot be read; the others can."""
 
     def __init__(self, status: int) -> None:
@@ -86,17 +87,7 @@ class _Wanted:
 class StoreHistory(HistoryManager):  # type: ignore[misc]  # the library has no types
     """Answers reads of history from the store.
 
-    Parameters
-    ----------
-    server : asyncua.server.internal_server.InternalServer
-        Its inside.
-    store : ChannelHistory
-        What is read.
-
-    Attributes
-    ----------
-    channels : dict
-        Asset and channel of each node that has a history.
+    ``channels``: asset and channel of each node that has a history.
     """
 
     def __init__(self, server: InternalServer, store: ChannelHistory) -> None:
@@ -115,10 +106,7 @@ class StoreHistory(HistoryManager):  # type: ignore[misc]  # the library has no 
     async def read_history(self, params: ua.HistoryReadParameters) -> list[ua.HistoryReadResult]:
         """Answer a request; each node has a status of its own.
 
-        Raises
-        ------
-        ServiceError
-            If the request as a whole cannot be answered.
+        Raises `ServiceError` if the request as a whole cannot be answered.
         """
         nodes, details = params.NodesToRead, params.HistoryReadDetails
         if not nodes:
@@ -127,13 +115,16 @@ class StoreHistory(HistoryManager):  # type: ignore[misc]  # the library has no 
             raise ServiceError(ua.StatusCodes.BadTooManyOperations)
         if params.ReleaseContinuationPoints:  # they hold nothing
             return [ua.HistoryReadResult() for _ in nodes]
-        if params.TimestampsToReturn not in (
+        stamps = params.TimestampsToReturn
+        if stamps not in (
             ua.TimestampsToReturn.Source,
             ua.TimestampsToReturn.Server,
             ua.TimestampsToReturn.Both,
         ):
             raise ServiceError(ua.StatusCodes.BadTimestampsToReturnInvalid)
         reads = _reads(details, len(nodes))
+        if stamps == ua.TimestampsToReturn.Server:
+            reads = [_without_server_times] * len(nodes)
         most = MOST_VALUES // len(nodes)
         return [
             await self._answer(node, read, most) for node, read in zip(nodes, reads, strict=True)
@@ -177,6 +168,8 @@ def _reads(details: Any, count: int) -> Sequence[_Read]:
     """Give how each node of a request is read."""
     if isinstance(details, ua.ReadRawModifiedDetails) and not details.IsReadModified:
         return [partial(_raw, details)] * count
+    if isinstance(details, ua.ReadRawModifiedDetails | ua.ReadEventDetails):
+        return [_not_kept] * count
     if isinstance(details, ua.ReadAtTimeDetails):
         return [partial(_at_times, details)] * count
     if isinstance(details, ua.ReadProcessedDetails):
@@ -184,6 +177,16 @@ def _reads(details: Any, count: int) -> Sequence[_Read]:
             raise ServiceError(ua.StatusCodes.BadAggregateListMismatch)
         return [partial(_processed, details, one) for one in details.AggregateType]
     raise ServiceError(ua.StatusCodes.BadHistoryOperationUnsupported)
+
+
+def _not_kept(wanted: _Wanted) -> _Page:
+    """Refuse: the store keeps neither what was changed nor events."""
+    raise _RefusedError(ua.StatusCodes.BadHistoryOperationUnsupported)
+
+
+def _without_server_times(wanted: _Wanted) -> _Page:
+    """Refuse: the store has the times of the sources alone."""
+    raise _RefusedError(ua.StatusCodes.BadTimestampNotSupported)
 
 
 def _raw(details: ua.ReadRawModifiedDetails, wanted: _Wanted) -> _Page:
@@ -218,7 +221,7 @@ def _at_times(details: ua.ReadAtTimeDetails, wanted: _Wanted) -> _Page:
     times_us = [_time_us(one) or 0 for one in details.ReqTimes or ()]
     if not times_us or len(times_us) > min(MOST_TIMES, wanted.most):
         raise _RefusedError(ua.StatusCodes.BadInvalidArgument)
-    found: Samples = wanted.store.at_times(wanted.asset, wanted.channel, times_us)
+    found: ChannelSamples = wanted.store.at_times(wanted.asset, wanted.channel, times_us)
     asked_us = np.array(times_us, np.int64)
     statuses = status_codes(found.qualities)
     statuses[found.times_us != asked_us] |= _INTERPOLATED

@@ -32,14 +32,7 @@ def history_data(
 ) -> ua.ExtensionObject:
     """Encode a ``HistoryData``: of each value itself, its status and its source time.
 
-    Parameters
-    ----------
-    times_us : numpy.ndarray
-        UTC microseconds.
-    values : numpy.ndarray
-        Doubles, or integers of 32 bits; what is not a number is sent without a value.
-    statuses : numpy.ndarray
-        Status codes.
+    ``values``: doubles, or integers of 32 bits; what is not a number is sent without a value.
     """
     whole = values.dtype == np.int32
     number, kind = ("<i4", ua.VariantType.Int32) if whole else ("<f8", ua.VariantType.Double)

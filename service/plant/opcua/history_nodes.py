@@ -35,15 +35,7 @@ _AGGREGATE_CONFIGURATION: Final = {
 
 
 async def describe_history(server: Server, configuration: ua.NodeId) -> None:
-    """Fill in the capabilities, and make the configuration that all historical variables share.
-
-    Parameters
-    ----------
-    server
-        The library's, initialised.
-    configuration
-        Node id of the configuration.
-    """
+    """Fill in the capabilities, and make the configuration that all historical variables share."""
     for number, value in _CAPABILITIES.items():
         await server.get_node(number).write_value(value)
     for number, most in _LIMITS.items():

@@ -12,28 +12,29 @@ import logging
 import math
 from collections.abc import Callable, Collection, Mapping
 from datetime import UTC, datetime
-from importlib.metadata import version
 from urllib.parse import urlsplit
 
 import structlog
 from asyncua import Server, ua
 
+from service import __version__
 from service.live.guard import Guard
-from service.plant.opcua.certificate import load_certificate
+from service.plant.opcua.certificate import Identity, keep_identity
 from service.plant.opcua.codes import status_code, unit_id
 from service.plant.opcua.history import StoreHistory
 from service.plant.opcua.history_nodes import describe_history, mark_historical
-from service.plant.opcua.sessions import KeyedServer
+from service.plant.opcua.sessions import MOST_BROWSES, KeyedServer
+from service.plant.opcua.subscriptions import SHORTEST_INTERVAL_MS
 from service.plant.opcua.users import KeyUsers
 from service.plant.opcua.wire import BoundedServer
 from service.plant.protocol import Host, TagValue
 from service.security.loopback import is_loopback
 from service.site.settings import OpcUaSection
 
-APPLICATION_URI = "urn:bearing-twin:server"
 NAMESPACE = "urn:bearing-twin"
 #: Wall seconds between two looks for keys that open nothing any more.
 KEYS_EVERY_S = 0.5
+_PROFILE = "http://opcfoundation.org/UA-Profile/Server/NanoEmbeddedDevice2017"
 _UNECE = "http://www.opcfoundation.org/UA/units/un/cefact"
 
 _log = structlog.get_logger(__name__)
@@ -45,21 +46,18 @@ class OpcUaPublisher:
     On a loopback address anybody may read; elsewhere a key is asked for as password (any user
     name), and the connection is encrypted with a certificate of the service's own.
 
-    Parameters
-    ----------
-    section
-        The configuration.
-
-    Attributes
-    ----------
-    server : asyncua.Server
-        The library's, while it is open.
+    - ``identity``: reads the certificate of one's own authority; without it the service makes its
+      own.
     """
 
     server: Server
 
-    def __init__(self, section: OpcUaSection) -> None:
+    def __init__(
+        self, section: OpcUaSection, identity: Callable[[], Identity] | None = None
+    ) -> None:
         self._section = section
+        self._read_identity = identity
+        self._identity: Identity | None = None
         self._local = is_loopback(urlsplit(section.endpoint).hostname or "")
         self._users: KeyUsers
         self._namespace = 0
@@ -70,7 +68,7 @@ class OpcUaPublisher:
         # One for each tag: the others go on when one cannot be shown.
         self._guards: dict[ua.NodeId, Guard] = {}
         self._door = Guard("opcua_close", "")
-        # The library tells of every connection, and of every wrong request with a traceback.
+        # The library logs every connection, and of every wrong request with a traceback.
         logging.getLogger("asyncua").setLevel(logging.CRITICAL)
 
     async def open(self, host: Host) -> None:
@@ -89,19 +87,30 @@ class OpcUaPublisher:
         server.set_server_name("Bearing Twin")
         server.allow_remote_admin(False)
         await server.init()
-        await server.set_application_uri(APPLICATION_URI)
+        identity = self._identity = (
+            keep_identity(host.data_dir / "opcua", encrypted=not local)
+            if self._read_identity is None
+            else self._read_identity()
+        )
+        await server.set_application_uri(identity.application_uri)
         server.set_endpoint(self._section.endpoint)
         if local:
             server.set_identity_tokens([ua.UserNameIdentityToken, ua.AnonymousIdentityToken])
             server.set_security_policy([ua.SecurityPolicyType.NoSecurity])
         else:
-            await load_certificate(server, host.data_dir / "opcua", APPLICATION_URI)
+            server.iserver.certificate = identity.certificate
+            server.iserver.private_key = identity.key
             server.set_identity_tokens([ua.UserNameIdentityToken])
             server.set_security_policy([ua.SecurityPolicyType.Basic256Sha256_SignAndEncrypt])
-        build = version("bearing-twin")
         await server.set_build_info(
-            NAMESPACE, server.manufacturer_name, server.name, build, build, datetime.now()
+            NAMESPACE,
+            server.manufacturer_name,
+            server.name,
+            __version__,
+            __version__,
+            datetime.now(),
         )
+        await _describe_capabilities(server)
         self._namespace = await server.register_namespace(NAMESPACE)
         self._variables = {}
         if self._history is not None:
@@ -154,6 +163,10 @@ class OpcUaPublisher:
 
     async def close(self) -> None:
         """Do nothing: `run` has closed what it opened."""
+
+    def certificate_ends_at(self) -> datetime | None:
+        """When the certificate ends; None while none is shown to clients."""
+        return None if self._local or self._identity is None else self._identity.ends_at
 
     async def _show(self, asset: str, node_id: ua.NodeId, tag: str, shown: TagValue) -> None:
         if tag not in self._variables.get(asset, ()):
@@ -235,6 +248,26 @@ class OpcUaPublisher:
         if self._history is not None and tag in self._channels_of(asset):
             await mark_historical(variable, ua.NodeId("history", self._namespace))
             self._history.channels[node_id] = (asset, tag)
+
+
+async def _describe_capabilities(server: Server) -> None:
+    """Say what the server does and does not do."""
+    string, double = ua.VariantType.String, ua.VariantType.Double
+    for number, value in (
+        (ua.ObjectIds.Server_ServerCapabilities_ServerProfileArray, ua.Variant([_PROFILE], string)),
+        (ua.ObjectIds.Server_ServerCapabilities_LocaleIdArray, ua.Variant(["en"], string)),
+        (
+            ua.ObjectIds.Server_ServerCapabilities_MinSupportedSampleRate,
+            ua.Variant(SHORTEST_INTERVAL_MS, double),
+        ),
+        (
+            ua.ObjectIds.Server_ServerCapabilities_MaxBrowseContinuationPoints,
+            ua.Variant(MOST_BROWSES, ua.VariantType.UInt16),
+        ),
+    ):
+        await server.get_node(number).write_value(value)
+    no_events = ua.DataValue(ua.Variant(0, ua.VariantType.Byte))
+    await server.nodes.server.write_attribute(ua.AttributeIds.EventNotifier, no_events)
 
 
 def _unit_node_id(variable: ua.NodeId) -> ua.NodeId:

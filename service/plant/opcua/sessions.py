@@ -13,6 +13,8 @@ from service.plant.opcua.subscriptions import OwnSubscriptions
 from service.plant.opcua.users import KeyUsers
 
 _TOKEN_BYTES = 32
+#: Browses of one session that were answered in part.
+MOST_BROWSES = 20
 
 
 class KeyedServer(InternalServer):  # type: ignore[misc]  # the library has no types
@@ -21,11 +23,6 @@ class KeyedServer(InternalServer):  # type: ignore[misc]  # the library has no t
     The library binds a connection to a session as soon as it names the session's token, before
     the key is checked, and leaves it bound when the check fails. Its tokens are numbers that
     follow each other.
-
-    Parameters
-    ----------
-    users
-        Who may activate a session.
     """
 
     def __init__(self, users: KeyUsers) -> None:
@@ -60,14 +57,43 @@ class _Session(InternalSession):  # type: ignore[misc]
         self._users = users
         self._address = peer[0]
         self._admitted: User | None = None
+        # What is left of browses that were answered in part.
+        self._left: dict[bytes, tuple[list[ua.ReferenceDescription], int]] = {}
+
+    async def browse(self, params: ua.BrowseParameters) -> list[ua.BrowseResult]:
+        """Give as many references of a node as were asked for; the rest with `browse_next`."""
+        results = await super().browse(params)
+        most = params.RequestedMaxReferencesPerNode
+        return [self._page(result, most) for result in results]
+
+    async def browse_next(self, parameters: ua.BrowseNextParameters) -> list[ua.BrowseResult]:
+        """Give more of earlier answers, or forget them."""
+        results = []
+        for point in parameters.ContinuationPoints:
+            left, most = self._left.pop(point, (None, 0))
+            result = ua.BrowseResult()
+            if left is None:
+                result.StatusCode = ua.StatusCode(ua.StatusCodes.BadContinuationPointInvalid)
+            elif not parameters.ReleaseContinuationPoints:
+                result.References = left
+                result = self._page(result, most)
+            results.append(result)
+        return results
+
+    def _page(self, result: ua.BrowseResult, most: int) -> ua.BrowseResult:
+        if not most or len(result.References) <= most:
+            return result
+        if len(self._left) >= MOST_BROWSES:
+            return ua.BrowseResult(StatusCode=ua.StatusCode(ua.StatusCodes.BadNoContinuationPoints))
+        result.ContinuationPoint = secrets.token_bytes(8)
+        self._left[result.ContinuationPoint] = result.References[most:], most
+        result.References = result.References[:most]
+        return result
 
     async def admit(self, params: ua.ActivateSessionParameters) -> None:
         """Have the key checked before the session is activated, which cannot wait.
 
-        Raises
-        ------
-        ServiceError
-            As `KeyUsers.admit`.
+        Raises `ServiceError` as `KeyUsers.admit`.
         """
         self._admitted = None
         token, password = params.UserIdentityToken, None

@@ -1,4 +1,4 @@
-"""Who may use the OPC UA server: whoever has a key, checked, counted and noted as over HTTP."""
+"""Who may use the OPC UA server: holders of a key, checked, counted and noted as over HTTP."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -26,21 +26,9 @@ class KeyUser(User):  # type: ignore[misc]  # the library has no types
 
 
 class KeyUsers:
-    """Lets in whoever gives a key as password, and on loopback everybody; for reading only.
+    """Lets in users who give a key as password, and on loopback everybody; for reading only.
 
-    Parameters
-    ----------
-    authenticator
-        Checks the keys.
-    trail
-        Where wrong ones are noted.
-    anonymous
-        Whether a caller without a password is let in too.
-
-    Attributes
-    ----------
-    admitted : asyncua.crypto.permission_rules.User, optional
-        Who may activate the session that is being activated, as `admit` has found out.
+    ``admitted``: who may activate the session that is being activated, as `admit` has found out.
     """
 
     def __init__(self, authenticator: Authenticator, trail: AuditTrail, anonymous: bool) -> None:
@@ -56,10 +44,8 @@ class KeyUsers:
     async def admit(self, password: str | bytes | None, address: str) -> User | None:
         """Find out whether a password lets in, from this address.
 
-        Raises
-        ------
-        ServiceError
-            After too many wrong keys from this address, and when the store does not answer.
+        Raises `ServiceError` after too many wrong keys from this address, and when the store does
+        not answer.
         """
         if not password:
             return KeyUser(role=UserRole.User) if self._anonymous else None
@@ -82,11 +68,11 @@ class KeyUsers:
         return KeyUser(role=UserRole.User, key=text)
 
     async def may_stay(self, user: User) -> bool:
-        """Tell whether the key of someone who was let in still opens."""
+        """Whether the key of someone who was let in still opens."""
         if not isinstance(user, KeyUser) or not user.key:
             return True
         try:
             principal = await self._authenticator.by_key(user.key)
         except StoreUnavailableError:
-            return True  # the store does not answer; whoever was let in stays
+            return True  # the store does not answer; sessions that were let in stay
         return principal is not None and principal.role in VIEWER

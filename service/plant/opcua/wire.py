@@ -34,6 +34,7 @@ _DISCOVERY: Final = tuple(
     )
 )
 _CREATE_SESSION = ua.NodeId(ua.ObjectIds.CreateSessionRequest_Encoding_DefaultBinary)
+_BROWSE_NEXT = ua.NodeId(ua.ObjectIds.BrowseNextRequest_Encoding_DefaultBinary)
 _ACTIVATE_SESSION = ua.NodeId(ua.ObjectIds.ActivateSessionRequest_Encoding_DefaultBinary)
 
 _log = structlog.get_logger(__name__)
@@ -42,12 +43,7 @@ _log = structlog.get_logger(__name__)
 class BoundedServer(Server):  # type: ignore[misc]  # the library has no types
     """The library's server on connections that are `_Connection`.
 
-    Parameters
-    ----------
-    iserver
-        Its inside.
-    encrypted
-        Whether a session is had on an encrypted connection only.
+    ``encrypted``: whether a session is had on an encrypted connection only.
     """
 
     def __init__(self, iserver: Any, encrypted: bool) -> None:
@@ -199,4 +195,11 @@ class _Processor(UaProcessor):  # type: ignore[misc]
             await self.session.close_session()
         if typeid == _ACTIVATE_SESSION and self.session is not None:
             await self.session.admit(struct_from_binary(ua.ActivateSessionParameters, body.copy()))
+        if typeid == _BROWSE_NEXT and self.session is not None and self.session.is_activated():
+            # The library has the service, and no way to it.
+            params = struct_from_binary(ua.BrowseNextParameters, body)
+            response = ua.BrowseNextResponse()
+            response.Parameters.Results = await self.session.browse_next(params)
+            self.send_response(requesthdr.RequestHandle, seqhdr, response)
+            return True
         return await super()._process_message(typeid, requesthdr, seqhdr, body)

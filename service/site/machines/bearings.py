@@ -47,12 +47,8 @@ class BearingSection(Section):
 def bearing_table(value: object) -> object:
     """Turn a designation of the catalogue into the bearing's table; leave a table as it is.
 
-    Raises
-    ------
-    UnknownBearingError
-        If the designation is not in the catalogue.
-    ValueError
-        If it is neither.
+    Raises `UnknownBearingError` if the designation is not in the catalogue; `ValueError` if it is
+    neither.
     """
     if isinstance(value, str):
         return asdict(bearing(value))
@@ -66,19 +62,8 @@ def bearing_table(value: object) -> object:
 def named_bearing(name: str, known: Mapping[str, BearingSection]) -> BearingSection:
     """Return a bearing by name, from the configuration or the catalogue, or from a TOML file.
 
-    Parameters
-    ----------
-    name
-        A name, or the path of a file that ends in ``.toml``.
-    known
-        The bearings of the configuration.
-
-    Raises
-    ------
-    UnknownBearingError
-        If there is no such name.
-    SettingsError
-        If the file cannot be used.
+    Raises `UnknownBearingError` if there is no such name; `SettingsError` if the file cannot be
+    used.
     """
     if name in known:
         return known[name]

@@ -25,15 +25,9 @@ class MachineParts(TypedDict):
 class Machine:
     """A bearing in the network that comes with the product, or a network of the user's own.
 
-    Parameters
-    ----------
-    model_name
-        One of `service.site.settings.ModelName`; not used by a network of one's own.
-    bearing
-        None only with a network.
-    network
-        None for `BEARING_14`.
-
+    - ``model_name``: one of `service.site.settings.ModelName`; not used by a network of one's own.
+    - ``bearing``: None only with a network.
+    - ``network``: None for `BEARING_14`.
     """
 
     model_name: str
@@ -64,10 +58,7 @@ class Machine:
     def build(self) -> ThermalModel:
         """Build the model, compiled.
 
-        Raises
-        ------
-        ValueError
-            If there is neither a network nor a bearing.
+        Raises `ValueError` if there is neither a network nor a bearing.
         """
         if self.network is None:
             if self.bearing is None:
@@ -96,13 +87,7 @@ class Machine:
 
     @classmethod
     def from_dict(cls, document: MachineParts) -> Self:
-        """Take back what `to_dict` gave.
-
-        Raises
-        ------
-        ValueError
-            If it is not such a document.
-        """
+        """Take back what `to_dict` gave. Raises `ValueError` if it is not such a document."""
         bearing, network = document["bearing"], document["network"]
         return cls(
             str(document["model"]),
@@ -112,15 +97,7 @@ class Machine:
 
 
 def why_no_sister(machine: Machine, family: str, other: Machine, other_family: str) -> str:
-    """Say why another machine is no sister of a machine; empty if it may be one.
-
-    Parameters
-    ----------
-    machine, other
-        The two.
-    family, other_family
-        Their families; empty where it is not known.
-    """
+    """Say why another machine is no sister of a machine; empty if it may be one."""
     if (machine.network is None) != (other.network is None) or machine.name != other.name:
         return f"{_kind(other)} {other.name!r}, expected {_kind(machine)} {machine.name!r}"
     if machine.network != other.network:

@@ -1,6 +1,6 @@
 """A thermal network in the configuration: nodes, edges, a heat source, sensors, parameters.
 
-docs/networks.md explains every key. Whatever is wrong is found here, before anything starts.
+docs/connect/networks.md explains every key. What is wrong is found here, before anything starts.
 """
 
 from contextvars import ContextVar
@@ -210,10 +210,7 @@ class NetworkSection(Section):
     def network(self) -> Network:
         """Return the network as data.
 
-        Raises
-        ------
-        ValueError
-            If the parts do not fit together; names the part and what was expected.
+        Raises `ValueError` if the parts do not fit together; names the part and what was expected.
         """
         return Network(
             self.name,
@@ -253,10 +250,7 @@ class NetworkSection(Section):
 def network_table(value: object) -> object:
     """Turn the name or the file of a network into its table; None for `BEARING_14`.
 
-    Raises
-    ------
-    ValueError
-        If the value is neither, or the file cannot be used.
+    Raises `ValueError` if the value is neither, or the file cannot be used.
     """
     if value == BEARING_14:
         return None
@@ -270,10 +264,8 @@ def network_table(value: object) -> object:
 def read_network(file: Path) -> NetworkSection:
     """Read a network from its file.
 
-    Raises
-    ------
-    SettingsError
-        If it cannot be read or is wrong; a line for each error names the file and the key.
+    Raises `SettingsError` if it cannot be read or is wrong; a line for each error names the file
+    and the key.
     """
     document = {"name": file.stem} | read_toml(file)
     try:

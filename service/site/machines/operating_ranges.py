@@ -30,10 +30,7 @@ Range = tuple[float, float]
 def operating_ranges(bearing: BearingSection | None) -> Mapping[str, Range]:
     """Lowest and highest plausible value of speed in rpm, load in N and ambient in degC.
 
-    Parameters
-    ----------
-    bearing : BearingSection or None
-        None for a network of one's own.
+    ``bearing``: None for a network of one's own.
     """
     speed_rpm, load_n, unloaded_n = _ANY_SPEED_RPM, _ANY_LOAD_N, -_ANY_LOAD_N
     if bearing is not None:

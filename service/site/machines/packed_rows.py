@@ -20,24 +20,12 @@ _OPERATING = ("speed_rpm", "load_n", "ambient_c")
 
 
 def pack_rows(data: IdentificationData) -> list[dict[str, Any]]:
-    """Return the good rows of all windows as plain JSON types.
-
-    Parameters
-    ----------
-    data
-        What a model was identified from. Values are kept to seven figures.
-    """
+    """Return the good rows of all windows as plain JSON types. Values are kept to seven figures."""
     return [_pack(window) for window in data.windows]
 
 
 def unpack_rows(document: list[dict[str, Any]]) -> IdentificationData:
-    """Take back what `pack_rows` gave.
-
-    Raises
-    ------
-    ValueError
-        If it is damaged.
-    """
+    """Take back what `pack_rows` gave. Raises `ValueError` if it is damaged."""
     try:
         return IdentificationData(tuple(_unpack(window) for window in document))
     except (

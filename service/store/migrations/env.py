@@ -2,11 +2,11 @@
 
 from alembic import context
 
-from service.store.tables import Base
+from service.store.tables import all_tables
 
 context.configure(
     connection=context.config.attributes["connection"],
-    target_metadata=Base.metadata,
+    target_metadata=all_tables(),
     # SQLite cannot change a column in place; batches copy the table.
     render_as_batch=True,
 )

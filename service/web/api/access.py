@@ -7,6 +7,7 @@ everything below ``/api``; each route says by `secured` which roles it is for. O
 import base64
 import binascii
 import math
+from collections import Counter
 from collections.abc import Callable, Coroutine
 from typing import Annotated, Any, Final, TypedDict
 from urllib.parse import urlsplit
@@ -16,6 +17,7 @@ from fastapi.routing import APIRoute
 from starlette.requests import HTTPConnection, Request
 from starlette.types import Scope
 
+from service.bus.asking import caller_role, on_behalf_of
 from service.domain.roles import Roles
 from service.security import failed_logins
 from service.security.audit_trail import AuditTrail
@@ -109,17 +111,9 @@ def secured(
 ) -> RouteArguments:
     """Arguments of a route that only these roles may call.
 
-    Parameters
-    ----------
-    roles : frozenset of str
-        Who may call it.
-    *statuses : int
-        Error statuses besides 401, 403, 422, 429 and 503 that the route answers with.
-    responses : mapping, optional
-        More answers for OpenAPI.
-    audit : str or None
-        What the audit trail calls a call that may change something; by default after the
-        path's last two words, None where nothing changes or the route writes its own line.
+    - ``statuses``: error statuses besides 401, 403, 422, 429 and 503 that the route answers with.
+    - ``audit``: what the audit trail calls a call that may change something; by default after the
+      path's last two words, None where nothing changes or the route writes its own line.
     """
     return {
         "dependencies": [Depends(require(roles))],
@@ -163,11 +157,12 @@ def known_caller(scope: Scope) -> Principal | None:
 def _refuse_repetitions(connection: HTTPConnection) -> None:
     """Refuse a parameter that comes twice and is no list: no one knows which one is meant."""
     names = [name for name, _ in connection.query_params.multi_items()]
-    if len(names) == len(set(names)):
+    times = Counter(names)
+    if len(names) == len(times):
         return
     route = connection.scope.get("route")
     for field in route.dependant.query_params if isinstance(route, APIRoute) else ():
-        if names.count(field.alias) > 1 and "list[" not in str(field.field_info.annotation):
+        if times[field.alias] > 1 and "list[" not in str(field.field_info.annotation):
             raise parameter_problem(field.alias, "expected once")
 
 
@@ -220,6 +215,9 @@ def make_access_check(
         if request.method not in SAFE_METHODS:
             refuse_other_sites(request, principal)
         request.scope[_PRINCIPAL] = principal
+        # The cell checks it again.
+        caller_role.set(principal.role)
+        on_behalf_of.set(principal.key_id)
 
     return check
 
@@ -229,10 +227,8 @@ async def authenticate(
 ) -> Principal | None:
     """Who is calling, by header, Basic password, subprotocol or session cookie; None if unknown.
 
-    Raises
-    ------
-    Problem
-        With status 429 after too many wrong keys, with 503 when the store does not answer.
+    Raises `Problem` with status 429 after too many wrong keys, with 503 when the store does not
+    answer.
     """
     try:
         key = offered_key(connection)
@@ -277,12 +273,8 @@ async def new_key(
 ) -> Principal | None:
     """Look up a key that may be a guess: an address has a limited number of them.
 
-    Raises
-    ------
-    Problem
-        With status 429 after too many wrong keys.
-    StoreUnavailableError
-        When the store does not answer.
+    Raises `Problem` with status 429 after too many wrong keys; `StoreUnavailableError` when the
+    store does not answer.
     """
     address = address_of(connection)
     wait_s = failed_logins.wait_s(authenticator, action, address)
@@ -320,19 +312,15 @@ def cookie_name(connection: HTTPConnection) -> str:
 
 
 def is_secure(connection: HTTPConnection) -> bool:
-    """Tell whether the caller talks HTTPS, to the service or to a proxy before it."""
+    """Whether the caller talks HTTPS, to the service or to a proxy before it."""
     return connection.url.scheme in ("https", "wss")
 
 
 def refuse_other_sites(connection: HTTPConnection, principal: Principal) -> None:
     """Refuse what another site's page has a browser send, whatever the credential is.
 
-    Browsers keep a Basic password as they keep a cookie, and send it for any site's form.
-
-    Raises
-    ------
-    Problem
-        With status 403.
+    Browsers keep a Basic password as they keep a cookie, and send it for any site's form. Raises
+    `Problem` with status 403.
     """
     if principal.session:
         allowed = is_same_origin(connection, unknown_is=False)
@@ -345,16 +333,10 @@ def refuse_other_sites(connection: HTTPConnection, principal: Principal) -> None
 def is_same_origin(
     connection: HTTPConnection, *, unknown_is: bool, by_hand_is: bool = False
 ) -> bool:
-    """Tell whether a browser sent this from our own page.
+    """Whether a browser sent this from our own page.
 
-    Parameters
-    ----------
-    connection : HTTPConnection
-        The request, or the WebSocket to be opened.
-    unknown_is : bool
-        The answer for a caller that says nothing, as programs do.
-    by_hand_is : bool
-        The answer for a request that no page has caused.
+    ``unknown_is``: the answer for a caller that says nothing, as programs do; ``by_hand_is``: the
+    answer for a request that no page has caused.
     """
     site = connection.headers.get("Sec-Fetch-Site")
     if site is not None:

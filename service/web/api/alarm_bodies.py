@@ -34,7 +34,7 @@ class CommentRequest(RequestBody):
 
 
 class ShelveRequest(RequestBody):
-    """Set an alarm aside for a while; it comes back by itself."""
+    """Shelve an alarm for a while; it comes back automatically."""
 
     model_config = ConfigDict(
         json_schema_extra={"examples": [{"duration_s": 1800, "comment": "sensor is being changed"}]}

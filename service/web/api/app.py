@@ -3,16 +3,19 @@
 import asyncio
 import contextlib
 from collections.abc import AsyncIterator
-from importlib.metadata import version
+from functools import cache
 from pathlib import Path
 from typing import Any
 
-from fastapi import FastAPI
+from fastapi import APIRouter, FastAPI
 from pydantic.json_schema import JsonSchemaValue
 from starlette.middleware import Middleware
+from starlette.routing import BaseRoute
 
 import service.web.pages
+from service import __version__
 from service.documents.messages import asyncapi_document
+from service.feature_folders import modules
 from service.security.audit_trail import AuditTrail
 from service.security.authenticator import Authenticator
 from service.web.api.access import make_access_check
@@ -28,13 +31,13 @@ from service.web.api.middleware import (
     UnhandledErrors,
 )
 from service.web.api.own_writes import OwnWrites
-from service.web.api.page import page_route
+from service.web.api.page import packed_routes, page_route
 from service.web.api.problems import install_handlers
 from service.web.api.proxies import KnownProxies
 from service.web.api.routes import measurements, routers
 from service.web.api.snapshots import SnapshotShortcut
 from service.web.api.turns import Turns
-from service.web.probes import Probes
+from service.web.pages.packing import packed_files
 
 API_PREFIX = "/api/v1"
 _DASHBOARD = Path(service.web.pages.__file__).parent / "static"
@@ -50,23 +53,18 @@ is null on the last page, and a `Link` header points to the next one.
 
 
 def create_app(context: ServiceContext) -> FastAPI:
-    """Make the web application of a service.
-
-    Parameters
-    ----------
-    context : ServiceContext
-        What it leans on.
-    """
+    """Make the web application of a service."""
 
     @contextlib.asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        try:
+        async with contextlib.AsyncExitStack() as stack:
+            for _, feature in modules("routes"):
+                if hasattr(feature, "lifespan"):
+                    await stack.enter_async_context(feature.lifespan(app))
+            stack.callback(trail.settle)
+            stack.callback(turns.close)
+            stack.callback(context.bus.close)
             yield
-        finally:
-            context.bus.close()
-            turns.close()
-            probes.close()
-            trail.settle()
 
     security = context.settings.security
     authenticator = Authenticator(
@@ -74,7 +72,6 @@ def create_app(context: ServiceContext) -> FastAPI:
     )
     trail = AuditTrail(context.outbox)
     turns = Turns()
-    probes = Probes()
     app = _new_app(
         lifespan=lifespan,
         middleware=[
@@ -95,11 +92,11 @@ def create_app(context: ServiceContext) -> FastAPI:
     app.state.authenticator = authenticator
     app.state.trail = trail
     app.state.turns = turns
-    app.state.probes = probes
     app.state.uploads = asyncio.Lock()
     install_handlers(app)
-    _take_in_routes(app)
+    _add_routes(app)
     app.router.routes.append(page_route(_DASHBOARD / "index.html"))
+    app.router.routes.extend(packed_routes(packed_files(_DASHBOARD)))
     app.frontend("/", directory=_DASHBOARD, fallback=None)
     return app
 
@@ -107,7 +104,7 @@ def create_app(context: ServiceContext) -> FastAPI:
 def descriptions() -> dict[str, JsonSchemaValue]:
     """Describe REST interface and stream, without a service: by the name of the file."""
     app = _new_app()
-    _take_in_routes(app)
+    _add_routes(app)
     return {
         "openapi.json": app.openapi(),
         "asyncapi.json": asyncapi_document(app.version, STREAM_PATH),
@@ -117,7 +114,7 @@ def descriptions() -> dict[str, JsonSchemaValue]:
 def _new_app(**options: Any) -> FastAPI:
     return FastAPI(
         title="Bearing Twin",
-        version=version("bearing-twin"),
+        version=__version__,
         description=_DESCRIPTION,
         docs_url=None,
         redoc_url=None,
@@ -133,8 +130,17 @@ def _new_app(**options: Any) -> FastAPI:
     )
 
 
-def _take_in_routes(app: FastAPI) -> None:
-    for name, router in routers().items():
-        # Probes of supervisors and proxies have their usual addresses.
-        app.include_router(router, prefix="" if name == "health" else API_PREFIX)
+def _add_routes(app: FastAPI) -> None:
+    app.router.routes.extend(_routes())
     install_docs(app)
+
+
+@cache
+def _routes() -> list[BaseRoute]:
+    """Every route; what FastAPI finds out about each it finds out once in a process."""
+    routes = APIRouter()
+    features = {name: module.router for name, module in modules("routes")}
+    for name, router in sorted((routers() | features).items()):
+        # Probes of supervisors and proxies have their usual addresses.
+        routes.include_router(router, prefix="" if name == "health" else API_PREFIX)
+    return routes.routes

@@ -6,11 +6,13 @@ from dataclasses import dataclass, field
 from prometheus_client import CollectorRegistry
 
 from adapters.protocol import Clock
+from service.bus.health_reports import HealthReports
 from service.bus.replica import AssetReplica
-from service.bus.stream import Bus
+from service.bus.stream import LiveMessages
+from service.domain.errors import CellUnavailableError
 from service.site.settings import Settings
-from service.store import Outbox, Store
-from service.web.cell import CellAlarms, CellHealth, CellIngest, CellJobs, CellNotifications
+from service.store import Outbox, Store, StoreUnavailableError
+from service.web.cell import AskedCell, CellIngest
 from service.web.overview import Overview
 
 
@@ -31,55 +33,44 @@ async def _no_assets() -> Mapping[str, str]:
 class ServiceContext:
     """Everything the web side leans on, put together at its start.
 
-    Attributes
-    ----------
-    settings, clock, store
-        Configuration, process time, store.
-    outbox
-        Where lines of the audit trail wait for the store.
-    bus
-        Live messages.
-    ingest, alarms, notifications, jobs, health
-        What the cell does and knows.
-    assets
-        By id.
-    fleet
-        All assets at a glance.
-    refresh_summaries
-        Brings the summaries of some assets, or of all, up to date.
-    changed
-        Makes the copies of what the cell knows of an asset, or of all, old ones; to be called after
-        a change.
-    follow
-        Has the cell make the live messages of some assets, or of all; gives the number after which
-        there are all of them.
-    apply_assets
-        Has the cell take up the assets that the store holds now; gives which cannot, and why.
-    is_known
-        Tells whether an asset that is not among `assets` is one all the same, which no cell of the
-        fleet follows at the moment.
-    apply_file
-        Has the service follow the configuration file as it is now; None where only a restart does.
-    registry
-        Metrics of the web side itself.
+    - ``outbox``: where lines of the audit trail wait for the store.
+    - ``refresh_summaries``: brings the summaries of some assets, or of all, up to date.
+    - ``changed``: makes the copies of what the cell knows of some assets, or of all, old ones; to
+      be called after a change.
+    - ``follow``: has the cell make the live messages of some assets, or of all; gives the number
+      after which there are all of them.
+    - ``apply_assets``: has the cell take up the assets that the store holds now; gives which
+      cannot, and why.
+    - ``is_known``: whether an asset that is not among `assets` is one all the same, which no
+      cell of the fleet follows at the moment.
+    - ``apply_file``: has the service follow the configuration file as it is now; None where only a
+      restart does.
     """
 
     settings: Settings
     clock: Clock
     store: Store
     outbox: Outbox
-    bus: Bus
+    bus: LiveMessages
+    cell: AskedCell
     ingest: CellIngest
-    alarms: CellAlarms
-    notifications: CellNotifications
     assets: Mapping[str, AssetReplica]
-    jobs: CellJobs
-    health: CellHealth
+    health: HealthReports
     fleet: Overview
     refresh_summaries: Callable[[Collection[str] | None], Awaitable[None]] = _nothing
-    changed: Callable[[str | None], None] = lambda asset: None
+    changed: Callable[[Collection[str] | None], None] = lambda assets: None
     follow: Callable[[Collection[str] | None], Awaitable[int]] = _all_are
     apply_assets: Callable[[], Awaitable[Mapping[str, str]]] = _no_assets
     is_known: Callable[[str], bool] = lambda asset: False
     apply_file: Callable[[], None] | None = None
     registry: CollectorRegistry = field(default_factory=CollectorRegistry)
+
+    async def apply_stored_assets(self) -> Mapping[str, str] | None:
+        """Have the cell follow the assets of the store; which cannot, and why.
+
+        None where the cell or the store does not answer now: it follows later.
+        """
+        try:
+            return await self.apply_assets()
+        except (CellUnavailableError, StoreUnavailableError):
+            return None

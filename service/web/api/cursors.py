@@ -47,10 +47,7 @@ def encode_cursor(place: BaseModel) -> str:
 def decode_cursor(cursor: str, kind: type[Position]) -> Position:
     """Unwrap a cursor.
 
-    Raises
-    ------
-    Problem
-        With status 422 when the text is not one of our cursors for this listing.
+    Raises `Problem` with status 422 when the text is not one of our cursors for this listing.
     """
     padded = cursor + "=" * (-len(cursor) % 4)
     try:
@@ -75,28 +72,8 @@ def page_of(
 ) -> tuple[Sequence[Item], str | None]:
     """Cut a page out of a listing that is at hand as a whole.
 
-    Parameters
-    ----------
-    items : sequence
-        The whole listing.
-    limit : int
-        Items at most.
-    cursor : str, optional
-        From the page before.
-    name : callable
-        What tells one item from the others.
-
-    Returns
-    -------
-    page : sequence
-        The items.
-    following : str or None
-        Cursor of the next page.
-
-    Raises
-    ------
-    Problem
-        With status 422 when the cursor is not of this listing.
+    ``name`` identifies an item. Returns the page, and the cursor of the next
+    one. Raises `Problem` with status 422 when the cursor is not of this listing.
     """
     begin = 0
     if cursor is not None:

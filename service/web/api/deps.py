@@ -1,8 +1,10 @@
 """What the routes take from the context."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
 from typing import Annotated
 
+from anyio import to_thread
 from fastapi import Depends, Path
 from starlette.requests import HTTPConnection
 from starlette.responses import Response
@@ -58,6 +60,33 @@ async def get_asset(
 
 
 Asset = Annotated[AssetReplica, Depends(get_asset)]
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedAsset:
+    """An asset of which the store has a history; one that is not followed has no channels."""
+
+    id: str
+    channels: Collection[str]
+
+
+async def get_recorded(
+    context: Context,
+    asset_id: Annotated[
+        str,
+        Path(description="The asset's id; also of one that was removed.", examples=["bench-1"]),
+    ],
+) -> RecordedAsset:
+    """Give the asset that the path names, also where only its history is left."""
+    if asset_id not in context.assets and not context.is_known(asset_id):
+        recorded = context.store.samples.with_history
+        if await to_thread.run_sync(recorded, [asset_id]):
+            return RecordedAsset(asset_id, ())
+    asset = await get_asset(context, asset_id)
+    return RecordedAsset(asset.id, asset.channels)
+
+
+Recorded = Annotated[RecordedAsset, Depends(get_recorded)]
 
 
 def copy_response(asset: AssetReplica, kind: DocumentKind) -> Response:

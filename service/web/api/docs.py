@@ -12,8 +12,7 @@ from starlette.staticfiles import StaticFiles
 
 from service.documents.messages import asyncapi_document
 from service.documents.problems import ProblemDocument
-from service.domain.requests import AlarmSettingsToImport, AssetsToImport
-from service.notifications.messages import NotificationMessage
+from service.feature_folders import declared, modules
 from service.web.api.access import AUDIT, SECURITY_SCHEMES, problems
 
 #: Description of the stream, beside that of the calls (`/openapi.json`).
@@ -41,27 +40,6 @@ _LINK: Final = {
     "Link": {
         "description": 'Address of the next page with `rel="next"`; absent on the last page.',
         "schema": {"type": "string"},
-    }
-}
-#: What we post to others.
-_WEBHOOKS: Final = {
-    "alarms": {
-        "post": {
-            "tags": ["alarms"],
-            "summary": "Alarms that were raised, acknowledged, escalated or are gone",
-            "description": "Sent to each webhook of `[[notifications]]`, with `webhook-id`, "
-            "`webhook-timestamp` and `webhook-signature` of the Standard Webhooks specification. "
-            "An event may come again; its `id` is the same then.",
-            "requestBody": {
-                "required": True,
-                "content": {
-                    "application/json": {
-                        "schema": {"$ref": "#/components/schemas/NotificationMessage"}
-                    }
-                },
-            },
-            "responses": {"2XX": {"description": "Taken. Anything else: it comes again."}},
-        }
     }
 }
 # The framework's own shape of a validation error is never sent.
@@ -123,13 +101,18 @@ def _openapi(app: FastAPI) -> dict[str, Any]:
         place = "#/components/schemas/{model}"
         for added in (
             ProblemDocument.model_json_schema(ref_template=place, mode="serialization"),
-            AssetsToImport.model_json_schema(ref_template=place),
-            AlarmSettingsToImport.model_json_schema(ref_template=place),
-            NotificationMessage.model_json_schema(ref_template=place, mode="serialization"),
+            *(
+                model.model_json_schema(ref_template=place)
+                for model in declared("routes", "BODIES")
+            ),
         ):
             schemas.update(added.pop("$defs"))
             schemas[added["title"]] = added
-        schema["webhooks"] = _WEBHOOKS
+        schema["webhooks"] = {
+            name: webhook
+            for _, feature in modules("routes")
+            for name, webhook in getattr(feature, "WEBHOOKS", {}).items()
+        }
         examples = json.loads(_EXAMPLES.read_text(encoding="utf-8"))
         for path, item in schema["paths"].items():
             for method, operation in item.items():

@@ -4,7 +4,8 @@ import re
 import traceback
 import zlib
 from collections.abc import Awaitable, Callable, Mapping, Sequence
-from typing import Final
+from functools import cache
+from typing import Final, NamedTuple
 
 import structlog
 from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES, GZipMiddleware
@@ -12,24 +13,46 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket
 
+from service.feature_folders import declared
 from service.web.api.access import known_caller
 from service.web.api.problems import Problem, problem_response
 
 STREAM_PATH = "/api/v1/stream"
-IMPORT_PATHS = ("/api/v1/assets:import", "/api/v1/alarm-settings/import")
 KIB = 1024
-_DEFAULT_BODY_BYTES = 64 * KIB
-_BODY_BYTES: Final = (
-    (re.compile(r"/api/v1/assets/[^/]+/forecasts"), 256 * KIB),
-    (re.compile(r"/api/v1/assets/[^/]+/measurements"), 4096 * KIB),
-    (re.compile("|".join(IMPORT_PATHS)), 8192 * KIB),
-    (re.compile(r"/api/v1/assets:remove"), 8192 * KIB),
-    (re.compile(r"/api/v1/commissioning/dbc"), 8192 * KIB),
-    (re.compile(r"/api/v1/commissioning/(?:check|configuration)"), 1024 * KIB),
-)
-
 _JSON = re.compile(r"application/(?:[a-z0-9.-]+\+)?json")
 CSV = "text/csv"
+
+
+class Upload(NamedTuple):
+    """What the bodies of some paths below ``/api/v1`` may be.
+
+    - ``path``: regular expression of them.
+    - ``most_bytes``: longest body, decompressed.
+    - ``media_types``: other types than JSON.
+    """
+
+    path: str
+    most_bytes: int
+    media_types: tuple[str, ...] = ()
+
+
+_USUAL: Final = Upload("", 64 * KIB)
+_OF_THE_CORE: Final = (
+    Upload("/assets/[^/]+/forecasts", 256 * KIB),
+    Upload("/assets/[^/]+/measurements", 4096 * KIB),
+)
+
+
+@cache
+def _uploads() -> Sequence[tuple[re.Pattern[str], Upload]]:
+    found = (*_OF_THE_CORE, *declared("routes", "UPLOADS"))
+    return [(re.compile(f"/api/v1{one.path}"), one) for one in found]
+
+
+def _upload(path: str) -> Upload:
+    """What the body of a path may be."""
+    return next((one for pattern, one in _uploads() if pattern.fullmatch(path)), _USUAL)
+
 
 #: A small body may hold a very long one: it is decompressed in pieces, each counted.
 _UNPACKED_BYTES = 64 * KIB
@@ -106,15 +129,7 @@ class SecurityHeaders:
 
 
 class Compression:
-    """Send answers compressed to those who can decompress them.
-
-    Parameters
-    ----------
-    app
-        What lies behind.
-    excluded : sequence of str
-        Content types that are compressed already.
-    """
+    """Send answers compressed to those who can decompress them."""
 
     def __init__(self, app: ASGIApp, excluded: Sequence[str]) -> None:
         def packing(from_bytes: int) -> GZipMiddleware:
@@ -155,7 +170,7 @@ class UnhandledErrors:
         try:
             await self.app(scope, receive, send_and_remember)
         except ClientDisconnect:
-            return  # in the middle of its own body: nobody is left to be answered
+            return  # in the middle of its own body: no client is left to answer
         except Exception as error:  # one broken call must not look like anything but status 500
             # As text: a structured traceback shows local variables, and so the caller's key.
             text = "".join(traceback.format_exception(error))
@@ -168,15 +183,7 @@ class UnhandledErrors:
 
 
 class AccessGate:
-    """Nothing under ``/api`` is even read for an unknown caller.
-
-    Parameters
-    ----------
-    app
-        What lies behind.
-    check : callable
-        Raises `Problem` for a caller without access.
-    """
+    """Nothing under ``/api`` is even read for an unknown caller."""
 
     def __init__(self, app: ASGIApp, check: AccessCheck) -> None:
         self.app = app
@@ -217,10 +224,7 @@ class BodyLimit:
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
-        limit = next(
-            (most for path, most in _BODY_BYTES if path.fullmatch(scope["path"])),
-            _DEFAULT_BODY_BYTES,
-        )
+        limit = _upload(scope["path"]).most_bytes
         problem = Problem(413, f"the body is too long, expected at most {limit} bytes")
         announced = Request(scope).headers.get("content-length", "0")
         if announced.isdecimal() and int(announced) > limit:
@@ -247,11 +251,6 @@ class Gunzip:
 
     It stands behind one `BodyLimit`, which counts the compressed bytes, and before another, which
     counts what the body really holds. For a caller without a key nothing is decompressed.
-
-    Parameters
-    ----------
-    app
-        What lies behind.
     """
 
     def __init__(self, app: ASGIApp) -> None:
@@ -311,13 +310,7 @@ def _too_much_behind() -> Problem:
 
 
 class JsonBodies:
-    """Refuse a body that does not say that it is JSON, or CSV where that is taken too.
-
-    Parameters
-    ----------
-    app
-        What lies behind.
-    """
+    """Refuse a body that does not say that it is JSON, or CSV where that is taken too."""
 
     def __init__(self, app: ASGIApp) -> None:
         self.app = app
@@ -329,7 +322,7 @@ class JsonBodies:
             has_body = headers.get("content-length", "0") != "0" or "transfer-encoding" in headers
             given = headers.get("content-type", "")
             kind = given.partition(";")[0].strip().lower()
-            others = (CSV,) if scope["path"] in IMPORT_PATHS else ()
+            others = _upload(scope["path"]).media_types
             if has_body and kind not in others and not _JSON.fullmatch(kind):
                 expected = ("application/json", *others)
                 detail = f"Content-Type {given!r}, expected {' or '.join(expected)}"

@@ -1,28 +1,27 @@
-"""The dashboard's first page, which learns whether someone opened it by hand.
+"""The dashboard's first page and what is packed for it.
 
-A link may carry a key (``#key=…``, as the demo prints it). From another site such a link would
-log a browser in without its user knowing. Only the browser knows where the link was, and it tells
-the service alone.
+The page learns whether someone opened it by hand. A link may carry a key (``#key=…``, as the demo
+prints it). From another site such a link would log a browser in without its user knowing. Only the
+browser knows where the link was, and it says so to the service alone.
 """
 
+import hashlib
+import mimetypes
+from collections.abc import Callable, Coroutine, Mapping
 from pathlib import Path
+from typing import Any
 
 from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
+from starlette.staticfiles import NotModifiedResponse
 
 _BEGIN = b"<html "
 _BY_HAND = b'<html data-opened="by-hand" '
 
 
 def page_route(index: Path) -> Route:
-    """Make the route of ``/``.
-
-    Parameters
-    ----------
-    index : pathlib.Path
-        The page; its `html` element says `data-opened="by-hand"` when no page led here.
-    """
+    """Make the route of ``/``."""
     otherwise = index.read_bytes()
     by_hand = otherwise.replace(_BEGIN, _BY_HAND, 1)
 
@@ -33,3 +32,29 @@ def page_route(index: Path) -> Route:
         return Response(body, media_type="text/html", headers={"Cache-Control": "no-store"})
 
     return Route("/", page, include_in_schema=False)
+
+
+def packed_routes(files: Mapping[str, str]) -> list[Route]:
+    """Make the routes of files that are made when the service starts.
+
+    ``files``: text by path; a browser that has the same text already is answered 304.
+    """
+    return [
+        Route(f"/{path}", _answering(path, text), include_in_schema=False)
+        for path, text in files.items()
+    ]
+
+
+def _answering(path: str, text: str) -> Callable[[Request], Coroutine[Any, Any, Response]]:
+    body = text.encode()
+    tag = f'"{hashlib.sha256(body).hexdigest()}"'
+    media_type, _ = mimetypes.guess_type(path)
+
+    async def answer(request: Request) -> Response:
+        response = Response(body, media_type=media_type, headers={"ETag": tag})
+        known = request.headers.get("If-None-Match", "").split(",")
+        if tag in (one.strip().removeprefix("W/") for one in known):
+            return NotModifiedResponse(response.headers)
+        return response
+
+    return answer

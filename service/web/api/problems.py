@@ -26,6 +26,7 @@ from service.domain.errors import (
     NotKeptError,
     NotReadyError,
     RequestRefusedError,
+    RoleRefusedError,
 )
 from service.store import StoreUnavailableError
 from service.web.shares import BusyError
@@ -39,21 +40,7 @@ _log = structlog.get_logger(__name__)
 
 
 class Problem(HTTPException):
-    """An error on its way to the caller.
-
-    Parameters
-    ----------
-    status : int
-        HTTP status.
-    detail : str
-        One sentence for people: what is wrong and what was expected.
-    errors : sequence of FieldError
-        What is wrong where.
-    headers : mapping, optional
-        Headers to send along.
-    job : JobDocument, optional
-        The job in the way.
-    """
+    """An error on its way to the caller."""
 
     def __init__(
         self,
@@ -89,14 +76,8 @@ _KEY = re.compile(r"([A-Za-z_][A-Za-z0-9_.-]*(?:\[\d+\][A-Za-z0-9_.-]*)*)(?: = |
 def line_error(line: str, below: str = "", prefix: str = "") -> FieldError:
     """Show a line of a `SettingsError` that begins with its key, as one wrong place of the body.
 
-    Parameters
-    ----------
-    line : str
-        ``channels.load_n.unit_id = 300: expected …``, or without a key.
-    below : str
-        JSON pointer of the table that holds the key.
-    prefix : str
-        Comes before the line.
+    ``line``: ``channels.load_n.unit_id = 300: expected …``, or without a key; ``below``: JSON
+    pointer of the table that holds the key.
     """
     key = _KEY.match(line)
     parts = re.split(r"[.\[\]]+", key[1].rstrip("]")) if key else ()
@@ -184,6 +165,9 @@ def install_handlers(app: FastAPI) -> None:
         detail = f"the cell does not answer: {error}"
         return _answer(request, Problem(503, detail, headers=headers))
 
+    async def on_role_refused(request: Request, error: RoleRefusedError) -> Response:
+        return _answer(request, Problem(403, str(error)))
+
     async def on_not_kept(request: Request, error: NotKeptError) -> Response:
         return _answer(request, Problem(503, str(error)))
 
@@ -191,6 +175,7 @@ def install_handlers(app: FastAPI) -> None:
         CellUnavailableError: on_cell_away,
         ChangedMeanwhileError: on_changed_meanwhile,
         NotKeptError: on_not_kept,
+        RoleRefusedError: on_role_refused,
         BusyError: on_busy,
         HTTPException: on_http_exception,
         RequestValidationError: on_validation_error,

@@ -16,12 +16,7 @@ class KnownProxies:
     An address that is none, which a proxy may pass on from anybody, is not taken: it would stand
     in the audit trail, and count for no one.
 
-    Parameters
-    ----------
-    app
-        What lies behind.
-    proxies
-        Addresses, or networks such as 10.0.0.0/24.
+    - ``proxies``: addresses, or networks such as 10.0.0.0/24.
     """
 
     def __init__(self, app: ASGIApp, proxies: Sequence[str]) -> None:

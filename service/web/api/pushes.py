@@ -17,11 +17,15 @@ from starlette.responses import Response
 from adapters.samples import Quality, Sample, is_bad
 from service.clock import MICROSECONDS, rfc3339
 from service.documents.measurements import Rejected
+from service.domain.errors import PushRefusedError
 from service.domain.requests import PUSH_SOURCE, RequestBody
 from service.domain.times import parse_time
+from service.web.api.problems import Problem
 from service.web.api.turns import caller_of, turns_of
 
 SAMPLES_MAX = 20_000
+#: Wall seconds that a push may wait for its turn in the cell.
+PUSH_PATIENCE_S = 10.0
 #: This many rejected samples of a push are answered with their reason, the others with a word.
 REASONS_MAX = 100
 _ONE_OF_MANY = f"also rejected; only the first {REASONS_MAX} give a reason"
@@ -31,11 +35,11 @@ _FEW = 200
 _BYTES_OF_A_SAMPLE = 80
 _AHEAD_S = 300.0
 
-_SAMPLE_SCHEMA = {
-    "type": "object",
-    "title": "PushedSample",
-    "required": ["channel", "time", "value"],
-    "properties": {
+
+def sample_schema(names: Mapping[str, Any], title: str) -> dict[str, Any]:
+    """Describe a pushed sample for OpenAPI; ``names`` are properties before the usual ones."""
+    properties = {
+        **names,
         "channel": {"type": "string", "examples": ["t_inner_ring_c"]},
         "time": {
             "type": "string",
@@ -52,9 +56,14 @@ _SAMPLE_SCHEMA = {
             "maximum": 255,
             "description": "OPC DA byte; absent: 192 (good) with a value, 0 (bad) without.",
         },
-    },
-}
-_ANYTHING_ELSE = {"description": "Anything else is rejected on its own."}
+    }
+    sample = {
+        "type": "object",
+        "title": title,
+        "required": [*names, "channel", "time", "value"],
+        "properties": properties,
+    }
+    return {"anyOf": [sample, {"description": "Anything else is rejected on its own."}]}
 
 
 class PushRequest(RequestBody):
@@ -84,7 +93,7 @@ class PushRequest(RequestBody):
             {
                 "type": "array",
                 "maxItems": SAMPLES_MAX,
-                "items": {"anyOf": [_SAMPLE_SCHEMA, _ANYTHING_ELSE]},
+                "items": sample_schema({}, "PushedSample"),
             }
         ),
     ]
@@ -94,16 +103,11 @@ class PushRequest(RequestBody):
 class Verdict:
     """The samples that can be taken, in the order of their times, and what is wrong with others.
 
-    Attributes
-    ----------
-    samples : list of Sample
-        Good to be stored.
-    rejected : list of Rejected
-        Index of each of the others, and why; after the first `REASONS_MAX` a word must do.
-    too_old : list of Sample
-        Those of the others that are only wrong by their time.
-    wired : dict of str to int
-        Channels that take no pushes, each with the index of its first sample.
+    - ``samples``: good to be stored.
+    - ``rejected``: index of each of the others, and why; after the first `REASONS_MAX` a word must
+      do.
+    - ``too_old``: those of the others that are only wrong by their time.
+    - ``wired``: channels that take no pushes, each with the index of its first sample.
     """
 
     samples: list[Sample] = field(default_factory=list)
@@ -120,38 +124,20 @@ def judge(
     rate: float,
     kept_from_us: int,
 ) -> Verdict:
-    """Tell the samples that can be taken from those that cannot.
+    """Sort samples into those that can be taken and those that cannot.
 
-    Parameters
-    ----------
-    samples : sequence
-        As they came in.
-    asset : str
-        Whose samples.
-    channels : mapping of str to str
-        Its channels with their sources.
-    now_us : int
-        Process time; a sample too far ahead of it would hide what comes after.
-    rate : float
-        Process seconds per wall second.
-    kept_from_us : int
-        The store takes no samples from before this time, UTC microseconds.
+    - ``now_us``: process time; a sample too far ahead of it would hide what comes after.
+    - ``kept_from_us``: the store takes no samples from before this time, UTC microseconds.
     """
     verdict = Verdict()
-    latest_us = now_us + round(_AHEAD_S * max(rate, 1.0) * MICROSECONDS)
+    judge = Judge(now_us, rate, kept_from_us)
     for index, raw in enumerate(samples):
         try:
-            sample = _sample(raw, asset, channels, now_us, latest_us)
-            if sample.time_us < kept_from_us:
-                verdict.too_old.append(sample)
-                raise ValueError(
-                    f"time {raw['time']!r}: too old, history before {rfc3339(kept_from_us)} has "
-                    "been removed"
-                )
+            sample = judge.sample(raw, asset, channels)
         except ValueError as error:
-            few = len(verdict.rejected) < REASONS_MAX
-            detail = str(error) if few else _ONE_OF_MANY
-            verdict.rejected.append(Rejected(index=index, detail=detail))
+            if isinstance(error, TooOldError):
+                verdict.too_old.append(error.sample)
+            reject(verdict.rejected, index, error)
         else:
             verdict.samples.append(sample)
             continue
@@ -162,38 +148,94 @@ def judge(
     return verdict
 
 
-def _sample(
-    raw: Any, asset: str, channels: Mapping[str, str], now_us: int, latest_us: int
-) -> Sample:
-    if not isinstance(raw, dict):
-        raise ValueError('expected {"channel", "time", "value", "quality"?}')
-    channel = raw.get("channel")
-    if not isinstance(channel, str) or channels.get(channel) != PUSH_SOURCE:
-        pushed = [name for name, source in channels.items() if source == PUSH_SOURCE]
-        known = ", ".join(pushed) or "none"
-        raise ValueError(f"channel {_shown(channel)}: unknown; pushed channels are: {known}")
-    try:
-        time_us = parse_time(raw.get("time"))
-    except ValueError as error:
-        raise ValueError(f"time {_shown(raw.get('time'))}: {error}") from error
-    if time_us > latest_us:
-        raise ValueError(f"time {_shown(raw.get('time'))}: lies in the future")
-    value, quality = _value(raw.get("value")), raw.get("quality")
-    if quality is None:
-        quality = Quality.BAD if value is None else Quality.GOOD
-    if isinstance(quality, bool) or not isinstance(quality, int) or not 0 <= quality <= 255:
-        raise ValueError(f"quality {_shown(quality)}: expected an OPC DA byte from 0 to 255")
-    if value is None and not is_bad(quality):
-        raise ValueError(f"value null: expected a number with quality {quality}")
-    kept = math.nan if value is None or is_bad(quality) else value
-    return Sample(asset, channel, time_us, kept, int(quality), now_us)
+def reject(rejected: list[Rejected], index: int, error: ValueError) -> None:
+    """Note why a sample is not taken; after the first `REASONS_MAX` without the reason."""
+    detail = str(error) if len(rejected) < REASONS_MAX else _ONE_OF_MANY
+    rejected.append(Rejected(index=index, detail=detail))
 
 
-def _value(raw: Any) -> float | None:
+class TooOldError(ValueError):
+    """The store takes no sample of this time any more."""
+
+    def __init__(self, sample: Sample, time: str, kept_from_us: int) -> None:
+        kept_from = rfc3339(kept_from_us)
+        super().__init__(f"time {time}: too old, history before {kept_from} has been removed")
+        self.sample = sample
+
+
+class Judge:
+    """Makes samples of what was pushed in one call, or says what is wrong with it.
+
+    - ``now_us``: process time; a sample too far ahead of it would hide what comes after.
+    - ``kept_from_us``: the store takes no samples from before this time, UTC microseconds.
+    """
+
+    def __init__(self, now_us: int, rate: float, kept_from_us: int) -> None:
+        self.now_us = now_us
+        self._latest_us = now_us + round(_AHEAD_S * max(rate, 1.0) * MICROSECONDS)
+        self._kept_from_us = kept_from_us
+        # The samples of one moment have one time: it is read once.
+        self._times_us: dict[str, int] = {}
+
+    def sample(self, raw: Any, asset: str, channels: Mapping[str, str]) -> Sample:
+        """Judge a sample as JSON has it. Raises `ValueError` that says what was expected."""
+        if not isinstance(raw, dict):
+            raise ValueError('expected {"channel", "time", "value", "quality"?}')
+        channel, time = pushed_channel(raw.get("channel"), channels), raw.get("time")
+        time_us = self.time_us(time)
+        value, quality = finite_number(raw.get("value")), raw.get("quality")
+        if quality is None:
+            quality = Quality.BAD if value is None else Quality.GOOD
+        if isinstance(quality, bool) or not isinstance(quality, int) or not 0 <= quality <= 255:
+            raise ValueError(f"quality {shown(quality)}: expected an OPC DA byte from 0 to 255")
+        if value is None and not is_bad(quality):
+            raise ValueError(f"value null: expected a number with quality {quality}")
+        kept = math.nan if value is None or is_bad(quality) else value
+        return self.in_time(Sample(asset, channel, time_us, kept, int(quality), self.now_us), time)
+
+    def time_us(self, time: Any) -> int:
+        """Read a time. Raises `ValueError` where it is none."""
+        if isinstance(time, str) and time in self._times_us:
+            return self._times_us[time]
+        try:
+            time_us = self._times_us[time] = parse_time(time)
+        except ValueError as error:
+            raise ValueError(f"time {shown(time)}: {error}") from error
+        return time_us
+
+    def in_time(self, sample: Sample, time: object) -> Sample:
+        """Give a sample whose time can be taken. Raises `ValueError`, with the time as it came."""
+        if self.takes(sample.time_us):
+            return sample
+        if sample.time_us > self._latest_us:
+            raise ValueError(f"time {shown(time)}: lies in the future")
+        raise TooOldError(sample, shown(time), self._kept_from_us)
+
+    def takes(self, time_us: int) -> bool:
+        """Whether a sample of a time can be taken."""
+        return self._kept_from_us <= time_us <= self._latest_us
+
+
+def pushed_channel(channel: Any, channels: Mapping[str, str]) -> str:
+    """Give the name of a channel. Raises `ValueError` where it takes no pushes."""
+    if isinstance(channel, str) and channels.get(channel) == PUSH_SOURCE:
+        return channel
+    pushed = [name for name, source in channels.items() if source == PUSH_SOURCE]
+    known = ", ".join(pushed) or "none"
+    if isinstance(channel, str) and channel in channels:
+        raise ValueError(
+            f"channel {shown(channel)}: comes from {channels[channel]!r} and takes no pushes; "
+            f"pushed channels are: {known}"
+        )
+    raise ValueError(f"channel {shown(channel)}: unknown; pushed channels are: {known}")
+
+
+def finite_number(raw: Any) -> float | None:
+    """Read a value. Raises `ValueError` where it is no finite number and not null."""
     if raw is None:
         return None
     if isinstance(raw, bool) or not isinstance(raw, int | float):
-        raise ValueError(f"value {_shown(raw)}: expected a number or null")
+        raise ValueError(f"value {shown(raw)}: expected a number or null")
     try:
         value = float(raw)
     except OverflowError:
@@ -203,7 +245,7 @@ def _value(raw: Any) -> float | None:
     return value
 
 
-def _shown(value: object) -> str:
+def shown(value: object) -> str:
     """A wrong value, not at any length."""
     text = repr(value[:_SHOWN_CHARACTERS] if isinstance(value, str) else value)
     return text if len(text) <= 2 * _SHOWN_CHARACTERS else f"{text[:_SHOWN_CHARACTERS]}…"
@@ -236,6 +278,15 @@ async def give_turn_back(request: Request) -> None:
     """End the turn of a push: what remains is to wait."""
     stack: AsyncExitStack = request.state.judging
     await stack.aclose()
+
+
+def refused(error: PushRefusedError) -> Problem:
+    """Build the problem of a push of which nothing was stored."""
+    return Problem(
+        503,
+        f"none of the samples was stored: {error}; expected the same push again later",
+        headers={"Retry-After": str(error.retry_after_s)},
+    )
 
 
 async def in_thread(request: Request, size: int, work: Callable[..., Any], *arguments: Any) -> Any:

@@ -26,17 +26,7 @@ _PATH: Final = re.compile(r"/api/v1/assets/([^/]+)/snapshot")
 async def snapshot_response(asset: AssetReplica, if_none_match: str | None) -> Response:
     """Answer with the snapshot, or with 304 to who has it already.
 
-    Parameters
-    ----------
-    asset : AssetReplica
-        Whose snapshot.
-    if_none_match : str, optional
-        The header of the request.
-
-    Raises
-    ------
-    CellUnavailableError
-        If the cell has never answered.
+    Raises `CellUnavailableError` if the cell has never answered.
     """
     await asset.refresh("snapshot")
     text, digest = asset.text("snapshot")
@@ -52,13 +42,6 @@ class SnapshotShortcut:
 
     It stands behind the access gate, which knows the caller. What the route would refuse the route
     refuses.
-
-    Parameters
-    ----------
-    app
-        What lies behind.
-    assets : mapping of str to AssetReplica
-        The assets by id.
     """
 
     def __init__(self, app: ASGIApp, assets: Mapping[str, AssetReplica]) -> None:

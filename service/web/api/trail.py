@@ -19,7 +19,7 @@ _log = structlog.get_logger(__name__)
 
 
 async def change_line(request: Request) -> AsyncIterator[AuditEntry]:
-    """Make the line of a call; whoever makes the change writes it in the same transaction.
+    """Make the line of a call; it is written in the same transaction as the change.
 
     What it is called the route says by `service.web.api.access.secured`.
     """
@@ -72,5 +72,5 @@ def _shown(body: bytes) -> str:
             for name, value in asked.items()
             if value is not None
         )
-    text = "".join(letter if letter.isprintable() else " " for letter in str(asked))
+    text = "".join(char if char.isprintable() else " " for char in str(asked))
     return text if len(text) <= _SHOWN_CHARACTERS else text[: _SHOWN_CHARACTERS - 1] + "…"

@@ -5,19 +5,22 @@ with `Retry-After`.
 """
 
 import asyncio
-from collections.abc import AsyncIterator, Callable, Coroutine, Sequence
+from collections.abc import AsyncIterator, Callable, Coroutine, Hashable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, TypeVar
+from typing import Any, TypeVar, TypeVarTuple
 
 from starlette.requests import Request
 from starlette.responses import StreamingResponse
 from starlette.types import Receive, Scope, Send
 
+from service.bus.replica import AssetReplica
 from service.web.api.access import known_caller
 from service.web.api.problems import Problem
 from service.web.shares import Shares
+from service.web.studies import Studies
 
 Result = TypeVar("Result")
+Arguments = TypeVarTuple("Arguments")
 
 #: Threads that read the history; the interpreter runs one thread at a time anyway.
 _READERS = 2
@@ -27,24 +30,13 @@ _JUDGES = 2
 class Turns:
     """The shares of all callers, and threads of their own for reads and pushes.
 
-    Attributes
-    ----------
-    long_reads : Shares
-        Downloads, and pages of more than `service.web.api.routes.measurements.LIMIT` rows.
-    pushes : Shares
-        Pushes from the first byte of the body to the answer.
-    judging : Shares
-        Pushes between the last byte of the body and their samples' way to the store.
-    what_ifs : Shares
-        Forecasts of profiles.
-    streams : Shares
-        Open WebSockets.
-    catching_up : Shares
-        Streams that send what was missed.
-    studies : Shares
-        Envelope, advice and the search for windows.
-    imports : Shares
-        Lists of assets, from the last byte of the body to the answer.
+    - ``long_reads``: downloads, and pages of more than `service.web.api.routes.measurements.LIMIT`
+      rows.
+    - ``pushes``: pushes from the first byte of the body to the answer.
+    - ``judging``: pushes between the last byte of the body and their samples' way to the store.
+    - ``catching_up``: streams that send what was missed.
+    - ``studies``: envelope, advice, the search for windows and reports.
+    - ``imports``: lists of assets, from the last byte of the body to the answer.
     """
 
     def __init__(self) -> None:
@@ -54,7 +46,8 @@ class Turns:
         self.what_ifs = Shares("what-if forecasts", at_once=1, at_once_each=1, waiting_each=4)
         self.streams = Shares("streams", at_once=1000, at_once_each=600)
         self.catching_up = Shares("streams", at_once=4, at_once_each=2, waiting_each=600)
-        self.studies = Shares("studies", at_once=2, at_once_each=1, waiting_each=4)
+        # One worker makes them: what waits, waits here, where it can still be given up.
+        self.studies = Studies(Shares("calculations", at_once=1, at_once_each=1, waiting_each=4))
         self.imports = Shares("imports of assets", at_once=1, at_once_each=1, waiting_each=2)
         self._reads = Shares("reads", at_once=_READERS, at_once_each=_READERS, waiting_each=64)
         self._readers = ThreadPoolExecutor(_READERS, thread_name_prefix="read")
@@ -91,7 +84,7 @@ class HeldResponse(StreamingResponse):
 
 
 async def pieces_in_turn(pieces: Sequence[bytes]) -> AsyncIterator[bytes]:
-    """Give the pieces of a long answer, each compressed by itself, with room between them."""
+    """Give the pieces of a long answer, each compressed separately, with room between them."""
     for piece in pieces:
         yield piece
         await asyncio.sleep(0)
@@ -107,6 +100,26 @@ def caller_of(request: Request) -> str:
     """Whose share a request counts in: the key's, whatever browser or program uses it."""
     principal = known_caller(request.scope)
     return principal.key_id if principal is not None else ""
+
+
+async def study(
+    request: Request,
+    asset: AssetReplica,
+    what: Hashable,
+    question: Callable[[Any, *Arguments], Result],
+    *arguments: *Arguments,
+) -> Result:
+    """Answer a question about an asset, as long as the client waits for it.
+
+    Callers who ask for the same share it, unless a caller has changed something between them.
+    """
+    key = asset.id, asset.changed_s, what
+    return await while_there(
+        request,
+        turns_of(request).studies.answer(
+            caller_of(request), key, lambda: asset.compute(question, *arguments)
+        ),
+    )
 
 
 async def while_there(request: Request, work: Coroutine[Any, Any, Result]) -> Result:

@@ -1,4 +1,4 @@
-"""The standard channels for the dashboard: writes ``static/js/channels.js`` from their table.
+"""The standard channels for the dashboard: writes ``static/js/parts/channels.js``.
 
 Run ``python -m service.web.pages.channels`` after a change of `service.domain.channels`.
 """
@@ -6,16 +6,15 @@ Run ``python -m service.web.pages.channels`` after a change of `service.domain.c
 import json
 from pathlib import Path
 
-from service.domain.channels import STANDARD
+from service.domain.channels import OBSERVED_CHANNELS, OPERATING_CHANNELS, RING_SENSORS, STANDARD
 
-FILE = Path(__file__).parent / "static" / "js" / "channels.js"
+FILE = Path(__file__).parent / "static" / "js" / "parts" / "channels.js"
 
 
 def module() -> str:
     """Text of the module."""
     rows = ",\n".join(
-        "  " + json.dumps([one.name, one.label, one.unit, one.part], ensure_ascii=False)
-        for one in STANDARD
+        "  " + json.dumps([one.name, one.label, one.unit], ensure_ascii=False) for one in STANDARD
     )
     return f"""\
 // Written by service/web/pages/channels.py from service/domain/channels.py. Do not edit.
@@ -23,12 +22,12 @@ const STANDARD = [
 {rows},
 ];
 
-const names = (wanted) => STANDARD.filter(([, , , part]) => part === wanted).map(([name]) => name);
-
 /** Speed, load and ambient: the operating point. */
-export const OPERATION = names('operation');
-/** The temperatures of the rings. */
-export const RINGS = names('ring');
+export const OPERATION = {list(OPERATING_CHANNELS)};
+/** What else is measured of the machine: shown and watched only. */
+export const OBSERVED = {list(OBSERVED_CHANNELS)};
+/** The temperatures of the rings that models compute. */
+export const RINGS = {list(RING_SENSORS)};
 export const LABELS = Object.fromEntries(STANDARD.map(([name, label]) => [name, label]));
 export const UNITS = Object.fromEntries(STANDARD.map(([name, , unit]) => [name, unit]));
 """

@@ -9,7 +9,7 @@ import pytest
 from adapters.virtual_bench import (
     BenchParameters,
     BenchProfile,
-    Change,
+    MachineChange,
     Scenario,
     Truth,
     find_scenario,
@@ -17,7 +17,7 @@ from adapters.virtual_bench import (
     scenario_profile,
     simulate,
 )
-from adapters.virtual_bench.controller import Controller
+from adapters.virtual_bench.controller import BenchController
 from adapters.virtual_bench.live import TRUTH_COLUMNS, LiveBench
 
 BENCH = BenchParameters.for_bearing("6311")
@@ -41,7 +41,7 @@ def _row(hours: float) -> int:
 
 
 def test_a_change_grows_evenly_in_the_logarithm_stays_and_goes_back() -> None:
-    change = Change("load", 100.0, 20.0, 4.0, end_s=200.0)
+    change = MachineChange("load", 100.0, 20.0, 4.0, end_s=200.0)
     times = np.array([0.0, 100.0, 110.0, 120.0, 200.0, 210.0, 220.0, 1e6])
     assert change.at(times) == pytest.approx([1.0, 1.0, 2.0, 4.0, 4.0, 2.0, 1.0, 1.0])
 
@@ -115,8 +115,10 @@ def test_half_the_cooling_doubles_what_the_housing_needs_above_ambient() -> None
     same = np.ones_like(time_s)
     rises = []
     for cooling in (1.0, 0.5):
-        whole = replace(scenario, changes=(Change("cooling", -2.0, 1.0, cooling),), oil_loss=0.0)
-        condition = Controller(whole, closed, 0).condition(time_s)
+        whole = replace(
+            scenario, changes=(MachineChange("cooling", -2.0, 1.0, cooling),), oil_loss=0.0
+        )
+        condition = BenchController(whole, closed, 0).condition(time_s)
         profile = BenchProfile(time_s, 3000.0 * same, 2650.0 * same, 22.0 * same, condition)
         rises.append(simulate(profile, closed, max_step_s=60.0).paper_nodes_c[-1, 0] - 22.0)
     # friction falls a little and the film of a warmer surface is better
@@ -124,7 +126,7 @@ def test_half_the_cooling_doubles_what_the_housing_needs_above_ambient() -> None
 
 
 def test_overload_is_on_the_machine_but_not_in_the_plan() -> None:
-    controller = Controller(find_scenario("overload"), BENCH, seed=1)
+    controller = BenchController(find_scenario("overload"), BENCH, seed=1)
     minutes = 60.0 * np.array([140.0, 170.0, 220.0])
     _, load = controller.true_point(minutes)
     assert load == pytest.approx([2650.0, 5300.0, 2650.0], abs=45.0)
@@ -146,9 +148,9 @@ def test_live_bench_and_offline_simulation_of_a_change_are_one() -> None:
         "6311",
         find_scenario("overload").steps,
         changes=(
-            Change("oil loss", 600.0, 60.0, 2000.0),
-            Change("cooling", 900.0, 300.0, 0.5),
-            Change("load", 1200.0, 60.0, 1.5),
+            MachineChange("oil loss", 600.0, 60.0, 2000.0),
+            MachineChange("cooling", 900.0, 300.0, 0.5),
+            MachineChange("load", 1200.0, 60.0, 1.5),
         ),
         oil_loss=5.0,
         ambient_daily_k=1.0,
@@ -200,7 +202,7 @@ def test_oil_is_lost_faster_when_hot_and_not_at_rest() -> None:
             speed_rpm * same,
             2650.0 * same,
             ambient_c * same,
-            Controller(aged, BENCH, 0).condition(time_s),
+            BenchController(aged, BENCH, 0).condition(time_s),
         )
         lost.append(1.0 - simulate(profile, BENCH, max_step_s=60.0).oil[-1])
     assert lost[0] == 0.0

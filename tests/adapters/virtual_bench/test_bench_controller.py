@@ -2,21 +2,21 @@ import numpy as np
 import pytest
 
 from adapters.virtual_bench import UnknownScenarioError, find_scenario, list_scenarios
-from adapters.virtual_bench.controller import Controller, RunState
+from adapters.virtual_bench.controller import BenchController, RunState
 from adapters.virtual_bench.parameters import BenchParameters
-from adapters.virtual_bench.scenarios import Scenario, SensorFault, Step
+from adapters.virtual_bench.scenarios import BenchPhase, Scenario, SensorFault
 from adapters.virtual_bench.sensors import PT100_CHANNELS
 from service.cli.bench import SCENARIO_NAMES
 
 
-def _controller(*steps: Step) -> Controller:
+def _controller(*steps: BenchPhase) -> BenchController:
     scenario = Scenario("test", "", "6311", steps)
-    return Controller(scenario, BenchParameters.for_bearing("6311"), seed=1)
+    return BenchController(scenario, BenchParameters.for_bearing("6311"), seed=1)
 
 
-_REST = Step("rest", 100.0, 0.0, 2000.0, "low")
-_RUN = Step("run", 200.0, 3000.0, 2000.0, "low")
-_LOAD = Step("load", 300.0, 3000.0, 3000.0, "high")
+_REST = BenchPhase("rest", 100.0, 0.0, 2000.0, "low")
+_RUN = BenchPhase("run", 200.0, 3000.0, 2000.0, "low")
+_LOAD = BenchPhase("load", 300.0, 3000.0, 3000.0, "high")
 
 
 def test_every_scenario_of_the_issue_is_there() -> None:
@@ -106,8 +106,8 @@ def test_speed_follows_its_ramp() -> None:
 
 
 def test_load_has_hysteresis() -> None:
-    heavy = Step("heavy", 100.0, 3000.0, 3000.0, "low")
-    light = Step("light", 100.0, 3000.0, 2000.0, "low")
+    heavy = BenchPhase("heavy", 100.0, 3000.0, 3000.0, "low")
+    light = BenchPhase("light", 100.0, 3000.0, 2000.0, "low")
     controller = _controller(light, heavy, light)
     _, load = controller.true_point(np.array([50.0, 190.0, 290.0]))
     assert load == pytest.approx([2000.0, 2980.0, 2020.0])  # play of 20 N either way

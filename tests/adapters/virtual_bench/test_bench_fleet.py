@@ -26,6 +26,8 @@ from adapters.virtual_bench.fleet_server import COUNTER_ADDRESS, UNITS
 from adapters.virtual_bench.live import LiveBench
 from adapters.virtual_bench.scenarios import find_scenario
 
+pytestmark = pytest.mark.wires
+
 PATIENCE_S = 30.0
 
 

@@ -14,7 +14,7 @@ from adapters.virtual_bench import (
 from adapters.virtual_bench.controller import RunState
 from adapters.virtual_bench.live import TRUTH_COLUMNS, LiveBench
 from adapters.virtual_bench.modbus_server import transmitter_registers
-from adapters.virtual_bench.scenarios import Scenario, Step
+from adapters.virtual_bench.scenarios import BenchPhase, Scenario
 from adapters.virtual_bench.sensors import Noise, Pt100
 
 _QUIET = SensorParameters(
@@ -131,7 +131,7 @@ def test_registers_carry_negative_temperatures_as_int16() -> None:
 
 def test_thermostat_stops_a_bench_that_runs_away() -> None:
     tight = replace(BenchParameters.for_bearing("6311"), clearance_um=12.0, preload_share=1.0)
-    scenario = Scenario("hot", "", "6311", (Step("hot", 36_000.0, 6200.0, 5500.0, "high"),))
+    scenario = Scenario("hot", "", "6311", (BenchPhase("hot", 36_000.0, 6200.0, 5500.0, "high"),))
     bench = LiveBench(scenario, 0, tight)
     bench.advance(36_000.0)
     assert bench.controller_state().run_state is RunState.FAULT

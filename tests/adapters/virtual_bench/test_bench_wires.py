@@ -12,8 +12,7 @@ import struct
 import sys
 import time
 from collections import Counter
-from collections.abc import AsyncIterator, Callable, Sequence
-from contextlib import asynccontextmanager
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,47 +26,13 @@ from pyModbusTCP.client import ModbusClient  # type: ignore[import-untyped]
 from adapters.virtual_bench import PortInUseError, UnknownScenarioError, dbc_path, run
 from adapters.virtual_bench.can_sender import BenchCanSender
 from adapters.virtual_bench.live import LiveBench
-from adapters.virtual_bench.modbus_server import BenchModbusServer
 from adapters.virtual_bench.scenarios import find_scenario
+
+from .running_bench import polled_bench, running_bench
 
 pytestmark = pytest.mark.wires
 
 PATIENCE_S = 30.0
-
-
-@asynccontextmanager
-async def _bench(scenario: str, rate: float, **options: Any) -> AsyncIterator[dict[str, Any]]:
-    announced: asyncio.Future[dict[str, Any]] = asyncio.get_running_loop().create_future()
-    stop = asyncio.Event()
-    task = asyncio.create_task(
-        run(
-            scenario,
-            rate=rate,
-            modbus_port=0,
-            can_port=0,
-            announce=announced.set_result,
-            stop=stop,
-            **options,
-        )
-    )
-    task.add_done_callback(lambda _: announced.done() or announced.cancel())
-    try:
-        yield await announced
-    finally:
-        stop.set()
-        async with asyncio.timeout(20.0):
-            await task
-
-
-@asynccontextmanager
-async def _polled(scenario: str, now_s: Callable[[], float]) -> AsyncIterator[dict[str, Any]]:
-    """A bench whose clock is the test's: each read is at the next moment that `now_s` gives."""
-    server = BenchModbusServer(LiveBench(find_scenario(scenario), 0), now_s, lambda: None)
-    host, port = await server.start("127.0.0.1", 0)
-    try:
-        yield {"modbus": {"host": host, "port": port}}
-    finally:
-        await server.stop()
 
 
 def _client(where: dict[str, Any], unit: int) -> ModbusClient:
@@ -103,7 +68,7 @@ def _plan(registers: Sequence[int]) -> list[tuple[int, float, float]]:
 
 
 async def test_transmitters_and_controller_are_read_by_a_foreign_client() -> None:
-    async with _bench("demo", rate=1.0) as where:
+    async with running_bench("demo", rate=1.0) as where:
 
         def look() -> None:
             transmitter, controller = _client(where, 1), _client(where, 2)
@@ -125,7 +90,7 @@ async def test_transmitters_and_controller_are_read_by_a_foreign_client() -> Non
 
 
 async def test_wrong_requests_get_the_exceptions_of_a_real_device() -> None:
-    async with _bench("demo", rate=1.0) as where:
+    async with running_bench("demo", rate=1.0) as where:
 
         def look() -> None:
             for unit, method, arguments, expected in (
@@ -147,7 +112,7 @@ async def test_wrong_requests_get_the_exceptions_of_a_real_device() -> None:
 
 
 async def test_planned_profile_counts_down_and_is_never_torn() -> None:
-    async with _polled("rapid-acceleration", itertools.count(0.0, 61.0).__next__) as where:
+    async with polled_bench("rapid-acceleration", itertools.count(0.0, 61.0).__next__) as where:
 
         def look() -> None:
             controller = _client(where, 2)
@@ -169,7 +134,7 @@ async def test_planned_profile_counts_down_and_is_never_torn() -> None:
 
 async def test_wire_break_and_over_range_show_their_codes() -> None:
     moments = itertools.count(0.0, 20.0)
-    async with _polled("sensor-break", moments.__next__) as where:
+    async with polled_bench("sensor-break", moments.__next__) as where:
 
         def look() -> set[tuple[int, int, int]]:
             transmitter = _client(where, 1)
@@ -189,7 +154,7 @@ async def test_wire_break_and_over_range_show_their_codes() -> None:
 
 async def test_mbpoll_reads_the_bench() -> None:
     mbpoll = needed("mbpoll")
-    async with _bench("demo", rate=1.0) as where:
+    async with running_bench("demo", rate=1.0) as where:
         process = await asyncio.create_subprocess_exec(
             mbpoll, "-m", "tcp", "-a", "1", "-0", "-r", "0", "-c", "3", "-t", "3", "-1",
             "-p", str(where["modbus"]["port"]), where["modbus"]["host"],
@@ -204,7 +169,7 @@ async def test_mbpoll_reads_the_bench() -> None:
 
 async def test_python_can_logger_records_both_messages(tmp_path: Path) -> None:
     log = tmp_path / "frames.asc"
-    async with _bench("staircase", rate=60.0) as where:
+    async with running_bench("staircase", rate=60.0) as where:
         process = await asyncio.create_subprocess_exec(
             sys.executable, "-m", "can.logger", "-i", "slcan", "-c", where["can"]["channel"],
             "-b", "500000", "--sleep-after-open=0.1", "-f", str(log),
@@ -236,7 +201,7 @@ async def test_python_can_logger_records_both_messages(tmp_path: Path) -> None:
 
 
 async def test_frames_come_at_the_pace_of_the_process_to_several_clients() -> None:
-    async with _bench("demo", rate=1.0) as where:
+    async with running_bench("demo", rate=1.0) as where:
 
         def listen() -> Counter[int]:
             count: Counter[int] = Counter()
@@ -269,7 +234,7 @@ async def _slcan(where: dict[str, Any], commands: bytes, wanted: bytes) -> bytes
 
 
 async def test_slcan_commands_are_answered_like_an_adapter() -> None:
-    async with _bench("demo", rate=1.0) as where:
+    async with running_bench("demo", rate=1.0) as where:
         assert await _slcan(where, b"V\r", b"\r") == b"V1013\r"
         assert await _slcan(where, b"N\r", b"\r") == b"NBT01\r"
         assert await _slcan(where, b"C\rS6\r", b"\r\r") == b"\r\r"
@@ -336,7 +301,7 @@ async def test_client_that_does_not_read_is_dropped_and_others_go_on(
 
 async def test_truth_is_written_while_the_bench_runs(tmp_path: Path) -> None:
     truth = tmp_path / "truth.csv"
-    async with _bench("demo", rate=600.0, truth=truth):
+    async with running_bench("demo", rate=600.0, truth=truth):
         await asyncio.to_thread(_until, lambda: _rows_of(truth) > 32, "rows of truth")
         with truth.open(newline="") as file:
             running = list(csv.DictReader(file))
@@ -354,7 +319,7 @@ async def test_two_runs_of_one_seed_write_the_same_truth(tmp_path: Path) -> None
     texts = []
     for name in ("first", "second"):
         truth = tmp_path / f"{name}.csv"
-        async with _bench("demo", rate=3000.0, truth=truth, seed=4):
+        async with running_bench("demo", rate=3000.0, truth=truth, seed=4):
             await asyncio.to_thread(_until, lambda file=truth: _rows_of(file) > 50, "rows")
         lines = truth.read_text().splitlines()
         texts.append([line.rsplit(",", 1)[0] for line in lines[:50]])  # without the wall clock
@@ -400,7 +365,7 @@ async def test_bad_input_names_what_is_wrong(tmp_path: Path) -> None:
 
 async def test_bench_waits_for_its_start_button(tmp_path: Path) -> None:
     truth = tmp_path / "truth.csv"
-    async with _bench("demo", rate=600.0, truth=truth, wait_for_start=True) as where:
+    async with running_bench("demo", rate=600.0, truth=truth, wait_for_start=True) as where:
 
         def elapsed(controller: ModbusClient) -> int:
             high, low = _read(controller, True, 8, 2)
@@ -431,7 +396,7 @@ async def test_bench_waits_for_its_start_button(tmp_path: Path) -> None:
 
 async def test_hold_button_delays_the_high_risk_step_until_it_is_released() -> None:
     process_s = 0.0
-    async with _polled("rapid-acceleration", lambda: process_s) as where:
+    async with polled_bench("rapid-acceleration", lambda: process_s) as where:
 
         def look() -> None:
             nonlocal process_s
@@ -454,7 +419,7 @@ async def test_hold_button_delays_the_high_risk_step_until_it_is_released() -> N
 
 
 async def test_host_name_listens_on_one_address() -> None:
-    async with _bench("demo", rate=1.0, host="localhost") as where:
+    async with running_bench("demo", rate=1.0, host="localhost") as where:
         assert where["modbus"]["host"] == where["can"]["host"]
         values = await asyncio.to_thread(_read, _client(where, 1), False, 0, 3)
         assert len(values) == 3
@@ -463,7 +428,7 @@ async def test_host_name_listens_on_one_address() -> None:
 
 
 async def test_stopping_frees_the_ports_at_once() -> None:
-    async with _bench("demo", rate=1.0) as where:
+    async with running_bench("demo", rate=1.0) as where:
         reader, writer = await asyncio.open_connection("127.0.0.1", where["can"]["port"])
         writer.write(b"O\r")
         await reader.readuntil(b"t1308")

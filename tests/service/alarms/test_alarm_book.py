@@ -255,6 +255,9 @@ def test_documents_have_the_contracts_names(bench: Bench) -> None:
     assert json.loads(alarm_document(alarm).to_bytes()) == {
         "id": alarm.id,
         "asset": "bench-1",
+        "assets": ["bench-1"],
+        "cause": {"kind": "step", "id": "bench-1"},
+        "action": None,
         "kind": "measured limit",
         "channel": "t_inner_ring_c",
         "limit_level": "alarm",
@@ -281,10 +284,11 @@ def test_documents_have_the_contracts_names(bench: Bench) -> None:
         "lead_time_s": 600.0,
         "probability": 0.25,
     }
-    assert json.loads(transition_document(bench.journal()[-1]).to_bytes()) == {
+    assert json.loads(transition_document(bench.journal()[-1], "°C").to_bytes()) == {
         "class": "alarm",
         "alarm_id": alarm.id,
         "asset": "bench-1",
+        "assets": ["bench-1"],
         "kind": "measured limit",
         "channel": "t_inner_ring_c",
         "limit_level": "alarm",
@@ -297,6 +301,7 @@ def test_documents_have_the_contracts_names(bench: Bench) -> None:
         "comment": "seen",
         "shelved_until": None,
         "value": 106.0,
+        "unit": "°C",
         "peak": {"value": 106.0, "time": "2025-11-21T04:40:00.000Z"},
         "duration_s": None,
         "message": "Inner ring over alarm 105 °C",
@@ -353,7 +358,7 @@ def test_a_returned_alarm_has_its_peak_and_how_long_it_lasted(bench: Bench) -> N
     assert returned.state == "RTNUN"
     assert returned.peak == Peak(value=113.4, time=rfc3339(peak_us))
     assert returned.duration_s == 1320.0
-    line = transition_document(bench.journal()[-1])
+    line = transition_document(bench.journal()[-1], None)
     assert (line.peak, line.duration_s) == (returned.peak, 1320.0)
     bench.after(600, replace(HOT, value=115.0))
     assert peak_of(bench) == 115.0, "raised again in the same life"

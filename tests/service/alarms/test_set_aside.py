@@ -79,6 +79,7 @@ def test_shelving_ends_after_a_restart_and_keeps_what_came_meanwhile(bench: Benc
     assert bench.journal()[-1].to_state == "NORM"
 
 
+@pytest.mark.wires
 def test_what_was_said_outlives_a_killed_process(bench: Bench) -> None:
     """Shelved, acknowledged and out of service, by a process that has no time to close."""
     code = (
@@ -200,6 +201,53 @@ def test_shelving_hides_a_suppressed_alarm_and_ends_in_suppression(bench: Bench)
     assert bench.after(1, suppressed(HOT)) == "DSUPR"
 
 
+SLOW_HOT = replace(HOT, off_delay_s=120.0, deadband=1.0)
+SLOW_COLD = replace(SLOW_HOT, active=False, value=80.0)
+IN_DEADBAND = replace(SLOW_COLD, value=104.5)
+
+
+@pytest.mark.parametrize("now", [SLOW_COLD, IN_DEADBAND])
+def test_the_end_of_a_suppression_raises_nothing_that_does_not_hold_then(
+    bench: Bench, now: AlarmCondition
+) -> None:
+    """Neither the off-delay nor the deadband keeps what was never seen."""
+    bench.after(1, suppressed(SLOW_HOT))
+    assert bench.after(1, suppressed(now)) == "DSUPR"
+    assert bench.after(1, now) == "NORM"
+    assert bench.after(1, SLOW_HOT) == "UNACK"
+    assert [line.to_state for line in bench.journal()] == ["DSUPR", "NORM", "UNACK"]
+
+
+@pytest.mark.parametrize("act", ["unshelve", "return_to_service", "by time"])
+def test_what_comes_back_by_hand_or_by_time_is_as_it_is_then(bench: Bench, act: str) -> None:
+    alarm_id = raised(bench, SLOW_HOT)
+    if act == "return_to_service":
+        bench.book.take_out_of_service(alarm_id, "ina", "sensor is on order")
+    else:
+        bench.book.shelve(alarm_id, 600, "eva")
+    bench.after(599, SLOW_COLD)
+    if act == "by time":
+        bench.clock.advance(1)
+        assert bench.book.active() == []
+    else:
+        assert getattr(bench.book, act)(alarm_id, "ina").state == "NORM"
+    assert bench.told[-1].returned_at_us == bench.clock.us
+    assert bench.after(1, replace(SLOW_HOT, on_delay_s=100.0)) == "NORM", "its delay begins now"
+
+
+def test_a_suppressed_alarm_waits_until_its_condition_is_known(bench: Bench) -> None:
+    """Data come back before there is a rate: what was true before the gap is not true now."""
+    bench.after(1, SLOW_HOT)
+    bench.after(1, suppressed(UNKNOWN, "no data for inner ring"))
+    assert bench.after(1, UNKNOWN) == "DSUPR"
+    assert bench.only().suppressed_reason == "no value to judge by yet"
+    assert bench.after(1, SLOW_COLD) == "NORM"
+    bench.after(1, SLOW_HOT)
+    bench.after(1, suppressed(UNKNOWN))
+    assert bench.after(1, UNKNOWN) == "DSUPR"
+    assert bench.after(1, SLOW_HOT) == "UNACK"
+
+
 # ---------------------------------------------------------------------------- out of service
 def test_out_of_service_lasts_until_somebody_ends_it(bench: Bench) -> None:
     alarm_id = raised(bench)
@@ -293,6 +341,14 @@ def test_an_acknowledged_alarm_that_stands_too_long_is_raised_again(bench: Bench
     assert bench.after(10_000, standing) == "UNACK"
     bench.book.acknowledge(alarm_id, "eva")
     assert bench.after(10_000, replace(standing, re_alarm_s=0)) == "ACKED"
+
+
+def test_what_has_gone_is_not_raised_again_while_its_off_delay_runs(bench: Bench) -> None:
+    alarm_id = raised(bench, replace(SLOW_HOT, re_alarm_s=3600))
+    bench.book.acknowledge(alarm_id, "eva")
+    bench.after(3599, replace(SLOW_HOT, re_alarm_s=3600))
+    assert bench.after(1, replace(SLOW_COLD, re_alarm_s=3600)) == "ACKED"
+    assert bench.after(120, replace(SLOW_COLD, re_alarm_s=3600)) == "NORM"
 
 
 # ---------------------------------------------------------------------------- words and events

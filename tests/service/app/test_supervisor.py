@@ -2,7 +2,6 @@
 
 import asyncio
 import contextlib
-import multiprocessing
 import os
 import signal
 import socket
@@ -20,6 +19,8 @@ from service.domain.sides import SideName
 from service.service_manager import ServiceManager
 from service.site.settings import MqttSection, ServiceSection, Settings
 
+pytestmark = pytest.mark.wires
+
 PATIENCE_S = 60.0
 
 Work = Callable[..., None]
@@ -30,7 +31,6 @@ class Supervised:
 
     def __init__(self, folder: Path, works: dict[SideName, Work], silent_s: float) -> None:
         settings = Settings(service=ServiceSection(data_dir=folder))
-        context = multiprocessing.get_context("forkserver")
         self.listener = socket.create_server(("127.0.0.1", 0))
         listening: asyncio.Future[socket.socket] = asyncio.get_running_loop().create_future()
         listening.set_result(self.listener)
@@ -40,7 +40,6 @@ class Supervised:
             Side(
                 name,
                 settings,
-                context,
                 folder,
                 listening if name == "web" else None,
                 work=work,
@@ -117,8 +116,12 @@ async def test_a_side_that_is_killed_is_started_again_and_the_others_go_on(tmp_p
         assert await running.starts_of("cell", 1) == cell
 
 
-async def test_a_side_that_hangs_is_killed_and_started_again(tmp_path: Path) -> None:
-    async with supervised(tmp_path, ALL, silent_s=2.0) as running:
+#: No test waits so long: what is ended was seen to hang.
+NEVER_S = 1000.0
+
+
+async def test_a_side_that_stands_still_is_killed_and_started_again(tmp_path: Path) -> None:
+    async with supervised(tmp_path, ALL, silent_s=NEVER_S) as running:
         await running.ready.wait()
         first = await running.starts_of("cell", 1)
         os.kill(first[0], signal.SIGSTOP)
@@ -126,6 +129,17 @@ async def test_a_side_that_hangs_is_killed_and_started_again(tmp_path: Path) -> 
         assert both[0] == first[0]
         with pytest.raises(ProcessLookupError):
             os.kill(first[0], 0)
+
+
+async def test_a_side_that_computes_without_end_is_killed_and_started_again(
+    tmp_path: Path,
+) -> None:
+    works: dict[SideName, Work] = {"cell": small_sides.behaves, "web": small_sides.spins}
+    async with supervised(tmp_path, works, silent_s=NEVER_S) as running:
+        both = await running.starts_of("web", 2)
+        with pytest.raises(ProcessLookupError):
+            os.kill(both[0], 0)
+        assert len(await running.starts_of("cell", 1)) == 1
 
 
 async def test_under_systemd_the_sides_give_their_own_signs_of_life(tmp_path: Path) -> None:

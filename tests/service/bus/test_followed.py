@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import pytest
 
 from service.bus.followed import Followed
-from service.bus.stream import Bus
+from service.bus.stream import LiveMessages
 from service.clock import ProcessClock
 from service.documents.messages import NewSamples
 
@@ -82,7 +82,7 @@ def test_an_asset_of_all_that_are_followed_is_complete_since_then(
 
 
 async def test_a_subscriber_here_follows_too() -> None:
-    bus = Bus(ProcessClock())
+    bus = LiveMessages(ProcessClock())
     assert not bus.is_followed("a")
     mine = bus.subscribe(["a"])
     assert bus.is_followed("a")
@@ -95,17 +95,28 @@ async def test_a_subscriber_here_follows_too() -> None:
 
 
 async def test_who_wants_alarms_only_follows_no_asset() -> None:
-    bus = Bus(ProcessClock())
+    bus = LiveMessages(ProcessClock())
     bus.subscribe(types={"alarm"})
     assert not bus.is_followed("a")
     assert bus.followed() == frozenset()
 
 
 async def test_who_comes_back_to_an_asset_that_nobody_followed_meanwhile_has_a_gap() -> None:
-    bus = Bus(ProcessClock())
+    bus = LiveMessages(ProcessClock())
     for _ in range(9):
         bus.publish("measurement", "a", NewSamples(samples=[]))
     assert not bus.subscribe(["a"], resume_from=6, complete_after=6).gap
     late = bus.subscribe(["a"], resume_from=5, complete_after=6)
     assert late.gap
     assert late.start_seq == 9
+
+
+async def test_a_gap_is_still_told_when_older_messages_leave_the_history() -> None:
+    """Found by `tests/simulation/web.py`: the history, when it was full, took the gap back."""
+    bus = LiveMessages(ProcessClock(), history_messages=3)
+    for _ in range(5):
+        bus.publish("measurement", "a", NewSamples(samples=[]))
+    bus.skip_to(9, 9)  # four are missing
+    bus.publish("measurement", "a", NewSamples(samples=[]))
+    assert bus.subscribe(["a"], resume_from=5).gap
+    assert not bus.subscribe(["a"], resume_from=9).gap

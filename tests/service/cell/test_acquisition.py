@@ -6,7 +6,7 @@ from pathlib import Path
 from service.cell.acquisition import Acquisition
 from service.clock import ProcessClock
 from service.ingest import Spool
-from service.site.provisioning import check_asset
+from service.site.asset_tables import check_asset
 from service.site.settings import load_settings
 from service.site.wiring import wire
 

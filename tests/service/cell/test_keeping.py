@@ -30,10 +30,10 @@ async def test_who_comes_during_a_write_goes_with_the_next_and_the_newest_wins()
         written.append(documents)
 
     keeper = StateKeeper(write)
-    first = asyncio.create_task(keeper.save("a", {"n": 1}))
+    first = keeper.save("a", {"n": 1})
     async with asyncio.timeout(30.0):
         await begun.wait()
-        later = [asyncio.create_task(keeper.save("a", {"n": n})) for n in (2, 3)]
+        later = [keeper.save("a", {"n": n}) for n in (2, 3)]
         await asyncio.sleep(0)
         assert not first.done()
         go_on.set()
@@ -58,7 +58,7 @@ async def test_a_failure_reaches_all_who_wait_and_the_next_write_works() -> None
 async def test_one_who_leaves_does_not_take_the_others_along() -> None:
     written: list[Mapping[str, Mapping[str, Any]]] = []
     keeper = StateKeeper(lambda documents, lines: written.append(documents))
-    leaving, staying = (asyncio.create_task(keeper.save(name, {})) for name in "ab")
+    leaving, staying = (asyncio.shield(keeper.save(name, {})) for name in "ab")
     await asyncio.sleep(0)
     leaving.cancel()
     await staying

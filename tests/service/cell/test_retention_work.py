@@ -3,10 +3,13 @@ import time
 from pathlib import Path
 
 from jumping import LoopClock
+from prometheus_client import CollectorRegistry
 
 from adapters.samples import Sample
 from service.cell.retention import StoreMaintenance
 from service.clock import ProcessClock
+from service.features.ledger.part import ForecastLedger
+from service.features.ledger.tables import KeptForecasts
 from service.store import AlarmTransition, AuditEntry, Retention, Store
 from service.store.forecast_records import IssuedContent, IssuedForecast
 
@@ -27,12 +30,11 @@ async def test_finished_hours_are_condensed_and_old_samples_go(tmp_path: Path) -
             at_us = now_us - days * 24 * HOUR_US
             event = AlarmTransition(None, "a", "", "", "", at_us, "", "", "", "", None, "")
             store.alarms.save(None, [event])
-            store.forecasts.add([forecast(at_us)])
-        retention = Retention(
-            raw_days=1.0, journal_days=100.0, audit_days=400.0, forecast_days=100.0
-        )
+            store.part(KeptForecasts).add([forecast(at_us)])
+        retention = Retention(raw_days=1.0, journal_days=100.0, audit_days=400.0)
+        ledger = ForecastLedger(store, tmp_path, clock, CollectorRegistry(), kept_days=100.0)
         task = asyncio.create_task(
-            StoreMaintenance(store, clock, retention, trust_after_s=0.0).run()
+            StoreMaintenance(store, clock, retention, trust_after_s=0.0, parts=[ledger]).run()
         )
         async with asyncio.timeout(60):
             # The last that goes, and what is packed meanwhile.
@@ -42,7 +44,7 @@ async def test_finished_hours_are_condensed_and_old_samples_go(tmp_path: Path) -
         await asyncio.wait({task})
         assert len(store.samples.read("a", None, 0, 2**62, 9)) == 3
         assert [one.time_us for one in store.alarms.journal().items] == [now_us - 720 * HOUR_US]
-        kept = store.forecasts.since("a", 0)
+        kept = store.part(KeptForecasts).since("a", 0)
         assert [one.issued.time_us for one in kept] == [now_us - 720 * HOUR_US]
         with store._database.reading() as connection:
             stale = connection.exec_driver_sql("SELECT count(*) FROM stale_rollups").scalar()
@@ -139,6 +141,32 @@ async def test_nothing_is_removed_before_the_clock_has_agreed_for_a_while(tmp_pa
         async with asyncio.timeout(7 * 86_400.0):
             while _count(store)[0] > 11:  # noqa: ASYNC110 - hour after hour
                 await asyncio.sleep(600.0)
+        task.cancel()
+        await asyncio.wait({task})
+
+
+async def test_each_cell_condenses_and_packs_its_own_and_one_removes_what_is_old(
+    tmp_path: Path,
+) -> None:
+    clock = SetClock()
+    at_us = clock.now_us() - 400 * 24 * HOUR_US
+    with Store.open("", tmp_path) as store:
+        store.samples.write([Sample(asset, "x", at_us, 1.0, 192, 0) for asset in ("mine", "other")])
+        maintenance = StoreMaintenance(
+            store,
+            clock,
+            Retention(raw_days=1000.0),
+            trust_after_s=0.0,
+            is_ours=lambda: False,
+            owns=lambda asset: asset == "mine",
+        )
+        task = asyncio.create_task(maintenance.run())
+        await asyncio.sleep(3600.0)
+        with store._database.reading() as connection:
+            packed = "SELECT asset FROM packed_hours JOIN channels ON channels.id = channel_id"
+            assert connection.exec_driver_sql(packed).scalars().all() == ["mine"]
+            assert connection.exec_driver_sql("SELECT count(*) FROM stale_rollups").scalar() == 1
+            assert connection.exec_driver_sql("SELECT count(*) FROM retention_marks").scalar() == 0
         task.cancel()
         await asyncio.wait({task})
 

@@ -8,12 +8,13 @@ from typing import Any, cast
 
 import pytest
 
-from service.cell.provisioning import Provisioning, Site
 from service.cell.share import Share
-from service.site.provisioning import CheckedAsset, wire_sources
+from service.cell.stored_assets import AssetActions, StoredAssets
+from service.site.asset_tables import CheckedAsset, wire_sources
 from service.site.settings import load_settings
 from service.site.wiring import Wiring
-from service.store import Ownership, Store
+from service.store import Store
+from service.store.ownership import Ownership
 
 PARTITIONS = 4
 GATEWAYS = 5
@@ -48,7 +49,7 @@ class Board:
 
 
 class Owned:
-    """What a cell sees of the board; stands for `service.store.Ownership`."""
+    """What a cell sees of the board; stands for `service.store.ownership.Ownership`."""
 
     count = PARTITIONS
 
@@ -79,9 +80,9 @@ class Cell:
         self.ownership = Owned(board, self)
         board.cells.append(self)
         share = Share(cast(Ownership, self.ownership), asyncio.Event())
-        site = Site(self.follow, self.read)
-        self.provisioning = Provisioning(load_settings(file), store, site, share)
-        assert not self.provisioning.first(), "nothing is followed before it is owned"
+        site = AssetActions(self.follow, self.read)
+        self.stored_assets = StoredAssets(load_settings(file), store, site, share)
+        assert not self.stored_assets.first(), "nothing is followed before it is owned"
 
     async def follow(
         self, gone: Sequence[str], left: Sequence[str], given: Sequence[CheckedAsset]
@@ -142,7 +143,7 @@ async def test_no_device_has_two_readers_and_all_have_one_in_the_end(
         for _ in range(250):
             action = chance.choice([change, take, give_up, None, None, None])
             if action is None:
-                await chance.choice(cells).provisioning.apply()
+                await chance.choice(cells).stored_assets.apply()
             else:
                 action()
             readers = [device for cell in cells for device in cell.devices()]
@@ -151,7 +152,7 @@ async def test_no_device_has_two_readers_and_all_have_one_in_the_end(
             while None in board.owner.values():
                 take()
             for cell in cells:
-                await cell.provisioning.apply()
+                await cell.stored_assets.apply()
         followed = {name for cell in cells for name in cell.followed}
         kept = {one.id for one in store.assets.changed_since(0) if one.table is not None}
         assert followed == kept | {"of-the-file"}

@@ -8,18 +8,9 @@ from pathlib import Path
 import pytest
 from forking import Commands
 from processes import Command, free_port
+from site_files import asset_text
 
-ASSET = """
-[[assets]]
-id = "motor-1"
-bearing = "6311"
-low_risk = { speed_rpm_max = 4300, load_n_max = 3400 }
-[assets.channels]
-speed_rpm = { source = "push" }
-load_n = { source = "push" }
-ambient_c = { source = "push" }
-t_inner_ring_c = { source = "push" }
-"""
+ASSET = asset_text("motor-1")
 
 
 @pytest.fixture(scope="session")

@@ -9,8 +9,11 @@ import pytest
 
 from service.domain.channels import CHANNEL_NEEDS
 from service.site.examination import examine
+from service.store import Store
 
 from .conftest import ASSET
+
+pytestmark = pytest.mark.wires
 
 Cli = Callable[..., "subprocess.CompletedProcess[str]"]
 DOCS = Path(__file__).parents[3] / "docs"
@@ -169,6 +172,47 @@ def test_the_environment_is_checked_beside_a_wrong_file(
 
 
 def test_the_documentation_has_the_table_of_channels() -> None:
-    page = (DOCS / "deployment.md").read_text()
+    page = (DOCS / "connect" / "configuration.md").read_text()
     for one in CHANNEL_NEEDS:
         assert f"| `{one.channel}` | {one.need} | {one.without} |" in page, one
+
+
+TEMPLATE = """
+[[templates]]
+name = "axle"
+bearing = "6311"
+group = "Line {line} {depot}"
+low_risk = { speed_rpm_max = 900, load_n_max = 4000 }
+[templates.channels]
+t_outer_ring_c = { source = "push" }
+ambient_c = { source = "push" }
+speed_rpm = { source = "push" }
+load_n = { source = "push" }
+"""
+
+
+def test_assets_in_the_store_are_checked_too(
+    cli: Cli, configure: Callable[..., Path], tmp_path: Path
+) -> None:
+    file = configure(TEMPLATE)
+    fits = cli("check", "-c", str(file))
+    assert fits.returncode == 0, fits.stderr
+    with Store.open("", tmp_path / "data") as store:
+        table = {"template": "axle", "values": {"line": 7}}
+        store.assets.change({f"axle-{number}": table for number in range(12)}, 1)
+    found = cli("check", "--json", "-c", str(file))
+    assert found.returncode == 2
+    (error,) = json.loads(found.stdout)["errors"]
+    assert "assets in the store: values.depot: missing; template 'axle' asks for it" in error
+    assert "(12 of 12: axle-0, axle-1, axle-10, axle-11, axle-2 and 7 more)" in error
+
+
+def test_it_says_when_it_did_not_look_into_the_store(
+    cli: Cli, configure: Callable[..., Path], tmp_path: Path
+) -> None:
+    file = configure(TEMPLATE)
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "bearing-twin.db").write_bytes(b"no database" * 1000)
+    found = cli("check", "-c", str(file))
+    assert "warning: " in found.stderr
+    assert "the assets in the store were not checked: " in found.stderr

@@ -6,7 +6,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from importlib.metadata import version
 from pathlib import Path
 
 import httpx2
@@ -14,9 +13,14 @@ import pytest
 from processes import Command, wait_until
 
 from adapters.samples import Sample
+from service import __version__
 from service.clock import rfc3339
 from service.security.keys import create_key
-from service.store import Retention, Store
+from service.store import AlarmChange, AlarmTransition, Retention, Store
+from service.store.changes import document_of
+from service.store.refused_changes import Refused
+
+pytestmark = pytest.mark.wires
 
 Cli = Callable[..., "subprocess.CompletedProcess[str]"]
 COMMANDS = (
@@ -27,7 +31,7 @@ COMMANDS = (
 def test_the_version_is_that_of_the_package(cli: Cli) -> None:
     ended = cli("--version")
     assert (ended.returncode, ended.stderr) == (0, "")
-    assert ended.stdout == f"bearing-twin {version('bearing-twin')}\n"
+    assert ended.stdout == f"bearing-twin {__version__}\n"
 
 
 def test_the_help_lists_the_commands(cli: Cli) -> None:
@@ -151,6 +155,28 @@ def test_the_time_from_which_raw_samples_are_kept_is_shown_and_lowered(
     assert "--lower: time 'yesterday': expected RFC 3339" in refused.stderr
     lowered = cli("db", "horizon", "--lower", "2001-01-01T00:00:00Z", "-c", str(config), "--json")
     assert json.loads(lowered.stdout) == {"raw_kept_from": "2001-01-01T00:00:00.000Z"}
+
+
+def test_refused_changes_are_listed_and_repeated(
+    cli: Cli, refused: Callable[..., str], configure: Callable[..., Path], tmp_path: Path
+) -> None:
+    config = str(configure())
+    assert cli("db", "refused", "-c", config).stdout == (
+        "No change waits that the store did not take.\n"
+    )
+    line = AlarmTransition(
+        None, "motor-1", "model drift", "", "", 7, "", "", "eva", "", None, "It drifts"
+    )
+    change = AlarmChange(None, (line,))
+    with Store.open("", tmp_path / "data") as store:
+        store.refused.add(Refused(change, document_of(change), "of a test", None))
+    shown = cli("db", "refused", "-c", config).stdout
+    assert "alarm: model drift of motor-1: of a test" in shown
+    assert "change 9: not known" in refused("db", "refused", "--repeat", "9", "-c", config)
+    done = json.loads(cli("db", "refused", "--repeat", "1", "-c", config, "--json").stdout)
+    assert done == {"repeated": "1 lines of the journal", "items": []}
+    with Store.open("", tmp_path / "data") as store:
+        assert store.alarms.journal().items[0] == line
 
 
 def test_grease_is_renewed_in_the_store_while_no_service_runs(

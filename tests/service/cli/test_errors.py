@@ -13,6 +13,8 @@ from processes import free_port
 
 from service.store import lock_data_directory
 
+pytestmark = pytest.mark.wires
+
 PATIENCE_S = 240.0
 SOURCE = """
 [[sources]]

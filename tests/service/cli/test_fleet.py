@@ -5,17 +5,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from site_files import asset_text
 
-SITE = """
-[fleet]
-scheduler_ca = "ca.pem"
-[[assets]]
-id = "axle-1"
-family = "old"
-bearing = "6311"
-low_risk = { speed_rpm_max = 4300, load_n_max = 3400 }
-channels.speed_rpm = { source = "push" }
-"""
+pytestmark = pytest.mark.wires
+
+SITE = '[fleet]\nscheduler_ca = "ca.pem"\n' + asset_text("axle-1", ["speed_rpm"], 'family = "old"')
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import pytest
+
+pytestmark = pytest.mark.wires
+
 SERVER = """
 [modbus_server]
 tags = ["motor-1/t_inner_ring_c", "motor-1/t_inner_ring_c.time_to_alarm_s"]

@@ -9,58 +9,42 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-import httpx2
 import pytest
 from asyncua import Client as OpcUaClient
-from processes import Command, free_port, wait_until
+from processes import Command, Station, free_port, wait_until
 
 from adapters.samples import Sample
-from service.clock import ProcessClock, rfc3339
+from bearing_twin_laboratory.benchmarks.fleet import processes_of
 from service.ingest import Spool
-from service.security.keys import create_key
 from service.site.settings import load_settings
 from service.store import Store
 
 from .conftest import ASSET
+
+pytestmark = pytest.mark.wires
 
 MACHINE = {"speed_rpm": 1500.0, "load_n": 2650.0, "ambient_c": 22.0, "t_inner_ring_c": 40.0}
 FAST = "\n[clock]\nrate = 60\n"
 Start = Callable[..., Command]
 
 
-class Client:
+class Client(Station):
     """A gateway and an administrator of one asset that only gets pushed values."""
 
-    def __init__(self, config: Path, port: int) -> None:
-        self.settings = load_settings(config)
-        with Store.open(self.settings.service.database_url, self.settings.data_dir) as store:
-            key = create_key(store, "admin").text
-        self.http = httpx2.Client(
-            base_url=f"http://127.0.0.1:{port}", headers={"X-API-Key": key}, timeout=60
-        )
-
-    def get(self, path: str) -> Any:
-        answer = self.http.get(path)
-        assert answer.status_code == 200, answer.text
-        return answer.json()
-
-    def push(self, **values: float) -> None:
-        clock = ProcessClock.resume(self.settings.clock.rate, self.settings.data_dir)
-        now = rfc3339(clock.now_us())
-        samples = [{"channel": name, "time": now, "value": value} for name, value in values.items()]
-        answer = self.http.post("/api/v1/assets/motor-1/measurements", json={"samples": samples})
+    def send(self, **values: float) -> None:
+        answer = self.push("motor-1", **values)
         assert answer.status_code == 200, answer.text
         assert answer.json()["rejected"] == []
 
-    def tag(self, name: str) -> Any:
-        return self.get("/api/v1/assets/motor-1/snapshot")["tags"][name]["value"]
+    def value(self, name: str) -> Any:
+        return self.tag(name, "motor-1")
 
     def follow(self, name: str) -> Any:
         """Push the machine's values until the twin has a value for a tag."""
 
         def look() -> Any:
-            self.push(**MACHINE)
-            return self.tag(name)
+            self.send(**MACHINE)
+            return self.value(name)
 
         return wait_until(look, 30, f"a value of {name}")
 
@@ -70,12 +54,12 @@ def connect(port: int) -> Iterator[Callable[[Path], Client]]:
     clients: list[Client] = []
 
     def to(config: Path) -> Client:
-        clients.append(Client(config, port))
+        clients.append(Client(config.parent, config, port))
         return clients[-1]
 
     yield to
     for client in clients:
-        client.http.close()
+        client.close()
 
 
 def test_a_service_without_sources_and_assets_is_ready(
@@ -87,20 +71,54 @@ def test_a_service_without_sources_and_assets_is_ready(
     assert client.get("/readyz")["status"] == "ready"
     assert client.get("/api/v1/assets")["items"] == []
     assert client.get("/api/v1/alarms")["items"] == []
-    assert client.http.get("/").status_code == 200
+    assert client.client.get("/").status_code == 200
     assert service.terminate() == 0
 
 
-def test_pushed_values_alone_keep_a_twin(
+def test_a_broker_that_does_not_answer_is_named_by_readiness(
     configure: Callable[..., Path], start: Start, connect: Callable[[Path], Client]
+) -> None:
+    port = free_port()
+    modbus = f"[modbus_server]\nenabled = true\nport = {free_port()}\n"
+    config = configure(f"[mqtt]\nenabled = true\nport = {port}\n{modbus}")
+    start("serve", "-c", str(config))
+    client = connect(config)
+
+    def publishers() -> dict[str, tuple[str, str]]:
+        checks = client.get("/readyz")["checks"]
+        return {one["name"]: (one["status"], one["detail"]) for one in checks}
+
+    wait_until(
+        lambda: publishers().get("publisher:modbus_server") == ("ok", "hands everything on"),
+        30,
+        "a Modbus server that listens",
+    )
+    status, detail = wait_until(
+        lambda: publishers().get("publisher:mqtt"), 30, "the broker's check"
+    )
+    assert status == "degraded"
+    assert str(port) in detail
+    assert client.get("/readyz")["status"] == "degraded"
+
+
+@pytest.mark.parametrize("processes", [(), ("--one-process",)], ids=["several", "one"])
+def test_pushed_values_alone_keep_a_twin(
+    configure: Callable[..., Path],
+    start: Start,
+    connect: Callable[[Path], Client],
+    processes: tuple[str, ...],
 ) -> None:
     endpoint = f"opc.tcp://127.0.0.1:{free_port()}/bearing-twin"
     opcua = f'[opcua]\nenabled = true\nendpoint = "{endpoint}"\n'
     config = configure(ASSET + FAST + opcua)
-    service = start("serve", "-c", str(config))
+    service = start("serve", *processes, "-c", str(config))
     client = connect(config)
+    sides = {"twin-cell", "twin-web", "twin-plant"} & set(
+        processes_of(service.process.pid).values()
+    )
+    assert len(sides) == (0 if processes else 3)
     assert client.get("/readyz")["status"] == "degraded"
-    assert client.tag("t_node_7_c.twin") is None
+    assert client.value("t_node_7_c.twin") is None
     assert 22.0 < client.follow("t_node_7_c.twin") < 60.0
     assert client.follow("t_inner_ring_c.forecast_max") > 30.0
     asset = client.get("/api/v1/assets/motor-1")
@@ -112,7 +130,7 @@ def test_pushed_values_alone_keep_a_twin(
     assert client.get("/api/v1/assets/motor-1/windows")["items"] == []
 
     def estimated() -> dict[str, Any] | None:
-        client.push(**MACHINE)
+        client.send(**MACHINE)
         shown = asyncio.run(opcua_tags(endpoint, "motor-1"))
         return None if shown["t_node_7_c.twin"] is None else shown
 
@@ -142,11 +160,11 @@ def test_an_asset_without_temperatures_does_not_end_the_service(
     config = configure(without + "\n[clock]\nrate = 300\n")
     service = start("serve", "-c", str(config))
     client = connect(config)
-    client.push(speed_rpm=1500.0, load_n=2650.0)
+    client.send(speed_rpm=1500.0, load_n=2650.0)
     time.sleep(2.5)  # by then it has looked for windows twice
     assert client.get("/livez")["status"] == "alive"
     assert client.get("/api/v1/assets/motor-1/windows")["items"] == []
-    assert client.tag("t_node_7_c.twin") is None
+    assert client.value("t_node_7_c.twin") is None
     assert service.terminate() == 0
     assert '"level": "error"' not in service.log.read_text()
 
@@ -162,8 +180,8 @@ def test_another_bearing_in_the_configuration_begins_anew(
     assert service.terminate() == 0
     config.write_text(config.read_text().replace("6311", "6016"))
     service = start("serve", "-c", str(config))
-    assert client.tag("t_node_7_c.twin") is None
-    assert client.tag("model.version") == 2
+    assert client.value("t_node_7_c.twin") is None
+    assert client.value("model.version") == 2
     models = client.get("/api/v1/assets/motor-1/models")["items"]
     assert [(model["version"], model["status"]) for model in models] == [
         (2, "active"),
@@ -171,7 +189,7 @@ def test_another_bearing_in_the_configuration_begins_anew(
     ]
     assert "6311" in models[0]["reason"]
     client.follow("t_inner_ring_c.forecast_max")
-    answer = client.http.post("/api/v1/assets/motor-1/models/1/activate")
+    answer = client.client.post("/api/v1/assets/motor-1/models/1/activate")
     assert answer.status_code == 409
     assert "6311" in answer.json()["detail"]
     assert service.terminate() == 0
@@ -197,7 +215,7 @@ def test_it_ends_within_seconds_though_the_store_is_locked(
     service = start("serve", "-c", str(config))
     client = connect(config)
     client.follow("t_node_7_c.twin")
-    database = client.settings.data_dir / "bearing-twin.db"
+    database = config.parent / "data" / "bearing-twin.db"
     with closing(sqlite3.connect(database, isolation_level=None)) as other:
         other.execute("BEGIN IMMEDIATE")
         time.sleep(5.5)  # a save is under way now
@@ -229,7 +247,7 @@ def test_a_damaged_spool_stops_no_start_and_what_is_left_is_stored(
     client = connect(config)
 
     def count(name: str) -> float:
-        text = client.http.get("/metrics").text
+        text = client.client.get("/metrics").text
         return float(next(line.split()[-1] for line in text.splitlines() if line.startswith(name)))
 
     wait_until(lambda: count("bearing_twin_spool_samples ") == 0, 60, "an empty spool")

@@ -17,6 +17,8 @@ from service.security.keys import create_key
 from service.site.settings import load_settings
 from service.store import Store
 
+pytestmark = pytest.mark.wires
+
 TLS = '[tls]\ncertificate = "server.pem"\nkey = "server.key"\n'
 
 

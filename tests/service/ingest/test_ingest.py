@@ -3,142 +3,25 @@ import contextlib
 import math
 import sqlite3
 import threading
-from collections.abc import AsyncIterator, Callable, Iterator
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import pytest
 from processes import wait_until
 from prometheus_client import CollectorRegistry
 
-from adapters.protocol import SourceHealth
 from adapters.samples import Batch, PlannedProfile, PlanStep, Quality, Sample
 from service.clock import ProcessClock
 from service.ingest import Ingest, Spool
 from service.ingest.metrics import SampleLedger
+from service.ingest.sample_queue import QUEUE_SAMPLES
 from service.ingest.spool import FILE_NAME as SPOOL_FILE
-from service.ingest.writer import QUEUE_SAMPLES, SampleWriter
+from service.ingest.writer import SampleWriter
 from service.store import Retention, Store, StoreUnavailableError, WriteCounts
-from service.store.opening import FILE_NAME
+
+from .conftest import Hall, ScriptedSource, sample
 
 PATIENCE_S = 30.0
 NAN = float("nan")
-
-
-class ScriptedSource:
-    """A driver that yields what the test puts in; an exception put in is raised."""
-
-    def __init__(self, name: str = "pt100") -> None:
-        self.name = name
-        self.script: asyncio.Queue[Batch | Exception] = asyncio.Queue()
-        self.entered = 0
-        self.left = 0
-        self.given = 0
-        self.up = True
-
-    async def __aenter__(self) -> Self:
-        self.entered += 1
-        return self
-
-    async def __aexit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self.left += 1
-
-    async def batches(self) -> AsyncIterator[Batch]:
-        while True:
-            step = await self.script.get()
-            if isinstance(step, Exception):
-                raise step
-            self.given += len(step.samples)
-            yield step
-
-    def health(self) -> SourceHealth:
-        return SourceHealth(self.name, "scripted", up=self.up, samples=self.given)
-
-
-class Hall:
-    """An ingest on a real store, and what it told the twin."""
-
-    def __init__(self, data_dir: Path) -> None:
-        self.path = data_dir / FILE_NAME
-        self.store = Store.open("", data_dir)
-        self.spool = Spool.open(data_dir, 16)
-        self.registry = CollectorRegistry()
-        self.taken: list[Batch] = []
-        self.ingest = Ingest(
-            self.store, self.spool, ProcessClock(), self._take, registry=self.registry
-        )
-
-    def _take(self, batch: Batch) -> None:
-        self.taken.append(batch)
-
-    @contextlib.asynccontextmanager
-    async def running(self, *sources: ScriptedSource) -> AsyncIterator[None]:
-        # One that says nothing shows as well as any that all has begun.
-        sources = sources or (ScriptedSource("silent"),)
-        task = asyncio.create_task(self.ingest.run(sources))
-        await self.until_true(lambda: all(source.entered for source in sources))
-        try:
-            yield
-        finally:
-            task.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await task
-
-    def stored(self, asset: str = "a") -> list[tuple[str, int, float | None, int]]:
-        return [one[:4] for one in self.store.samples.read(asset, None, 0, 2**62, 10**6)]
-
-    def metric(self, name: str, **labels: str) -> float | None:
-        return self.registry.get_sample_value(f"bearing_twin_{name}", labels)
-
-    def stored_outside(self) -> int:
-        with contextlib.closing(sqlite3.connect(f"file:{self.path}?mode=ro", uri=True)) as outside:
-            return int(outside.execute("SELECT COUNT(*) FROM samples").fetchone()[0])
-
-    def on_spool(self) -> list[int]:
-        """Times of what somebody else finds in the spool's file."""
-        file = self.path.with_name(SPOOL_FILE)
-        with contextlib.closing(sqlite3.connect(file)) as outside:
-            return [t for (t,) in outside.execute("SELECT time_us FROM samples ORDER BY id")]
-
-    def close(self) -> None:
-        self.store.close()
-        self.spool.close()
-
-    async def until(self, **counts: int) -> None:
-        await self.until_true(lambda: counts.items() <= self.ingest.counts().items())
-
-    async def until_true(self, holds: Callable[[], bool]) -> None:
-        async with asyncio.timeout(30):
-            while not holds():  # noqa: ASYNC110 - the counts have no event to wait for
-                await asyncio.sleep(0.001)
-
-    @contextlib.contextmanager
-    def locked(self, file: str = FILE_NAME) -> Iterator[None]:
-        """Somebody else holds the right to write."""
-        intruder = sqlite3.connect(self.path.with_name(file), isolation_level=None)
-        intruder.execute("BEGIN EXCLUSIVE")
-        try:
-            yield
-        finally:
-            intruder.rollback()
-            intruder.close()
-
-
-@pytest.fixture
-def hall(tmp_path: Path) -> Iterator[Hall]:
-    hall = Hall(tmp_path)
-    yield hall
-    hall.close()
-
-
-def sample(time_us: int, value: float = 1.0, quality: int = 192, channel: str = "x") -> Sample:
-    return Sample("a", channel, time_us, value, quality, time_us)
 
 
 async def test_a_batch_reaches_the_twin_at_once_and_the_store_soon(hall: Hall) -> None:
@@ -171,6 +54,7 @@ async def test_metrics_have_the_contracts_names_and_add_up(hall: Hall) -> None:
         assert hall.metric("samples_skipped_total", reason="queue_full") == 0
         assert hall.metric("spool_samples") == 0
         assert hall.metric("source_up", source="pt100") == 1
+        assert hall.metric("source_errors_total", source="pt100", kind="connect") == 0
         source.up = False
         assert hall.metric("source_up", source="pt100") == 0
     with pytest.raises(ValueError, match="Duplicated timeseries"):
@@ -262,7 +146,9 @@ async def test_a_twin_with_a_fault_costs_no_sample(tmp_path: Path) -> None:
 async def test_pushed_samples_are_on_the_disk_when_the_answer_comes(
     hall: Hall, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("service.ingest.writer.BATCH_S", 3600.0)  # a push does not wait for others
+    monkeypatch.setattr(
+        "service.ingest.sample_queue.BATCH_S", 3600.0
+    )  # a push does not wait for others
     async with hall.running():
         counts = await hall.ingest.accept([sample(1), sample(2), sample(2)])
         assert counts == WriteCounts(stored=2, duplicates=1)
@@ -350,7 +236,7 @@ def test_a_full_queue_skips_the_newest_and_says_so(hall: Hall) -> None:
     writer.put([sample(time_us) for time_us in range(QUEUE_SAMPLES - 1000, QUEUE_SAMPLES - 10)])
     writer.put([sample(time_us) for time_us in range(QUEUE_SAMPLES - 10, QUEUE_SAMPLES + 20)])
     with pytest.raises(StoreUnavailableError, match=f"{QUEUE_SAMPLES} samples already wait"):
-        writer.put_and_tell([sample(1)])
+        writer.put_with_result([sample(1)])
     assert ledger.counts()["skipped"] == 20
     assert ledger.counts()["waiting"] == QUEUE_SAMPLES
     writer.start()
@@ -364,7 +250,7 @@ def test_a_store_that_stays_away_cannot_hold_up_the_stop_nor_cost_a_sample(hall:
     writer = SampleWriter(hall.store, hall.spool, ledger)
     writer.start()
     with hall.locked():
-        promised = writer.put_and_tell([sample(1)])
+        promised = writer.put_with_result([sample(1)])
         writer.put([sample(2), sample(3)])
         writer.close(timeout_s=0.5)
         assert promised.result(timeout=0) == (1, 0)
@@ -385,7 +271,7 @@ def test_with_store_and_spool_away_samples_wait_in_memory_until_the_stop(hall: H
     writer = SampleWriter(hall.store, hall.spool, ledger)
     writer.start()
     with hall.locked(), hall.locked(SPOOL_FILE):
-        promised = writer.put_and_tell([sample(1)])
+        promised = writer.put_with_result([sample(1)])
         wait_until(lambda: writer.spool_problem, PATIENCE_S, "the spool is asked too")
         assert writer.problem is not None
         assert writer.spool_problem is not None
@@ -395,7 +281,7 @@ def test_with_store_and_spool_away_samples_wait_in_memory_until_the_stop(hall: H
     # It may have gone on the spool first.
     wait_until(lambda: ledger.counts()["stored"], PATIENCE_S, "stored", every_s=0.01)
     with hall.locked(), hall.locked(SPOOL_FILE):
-        promised = writer.put_and_tell([sample(2)])
+        promised = writer.put_with_result([sample(2)])
         writer.close(timeout_s=0.5)
         with pytest.raises(StoreUnavailableError):
             promised.result(timeout=0)
@@ -445,7 +331,7 @@ def test_every_scrape_adds_up(hall: Hall, monkeypatch: pytest.MonkeyPatch) -> No
         times = range(number * 40, number * 40 + 50)  # ten are sent twice
         writer.put([sample(time_us) for time_us in times])
         if number % 50 == 0:
-            writer.put_and_tell([sample(-1)])
+            writer.put_with_result([sample(-1)])
     wait_until(lambda: scrapes > 10, PATIENCE_S, "scrapes", every_s=0.001)
     writer.close(timeout_s=PATIENCE_S)
     stop.set()
@@ -540,34 +426,3 @@ async def test_live_samples_go_before_a_backlog(hall: Hall) -> None:
     assert order.index("live") < 2, order
     assert len(hall.stored()) == 60_001
     assert hall.ingest.counts()["duplicate"] == 0
-
-
-# ---------------------------------------------------------------------- other drivers
-async def test_a_driver_reads_until_the_one_that_replaces_it_has_read(hall: Hall) -> None:
-    old, new, other = ScriptedSource("plc"), ScriptedSource("plc"), ScriptedSource("other")
-    async with hall.running(old, other):
-        replacing = asyncio.create_task(hall.ingest.replace("plc", new))
-        await hall.until_true(lambda: new.entered == 1)
-        old.script.put_nowait(Batch([sample(1)]))
-        await hall.until_true(lambda: len(hall.taken) == 1)
-        assert old.left == 0
-        new.script.put_nowait(Batch([sample(2)]))
-        await asyncio.wait_for(replacing, PATIENCE_S)
-        assert (old.left, new.left, other.left) == (1, 0, 0)
-        assert hall.metric("source_up", source="plc") == 1.0
-        await hall.until_true(lambda: len(hall.stored()) == 2)
-        await hall.ingest.replace("plc", None)
-        assert new.left == 1
-        assert hall.metric("source_up", source="plc") is None
-        other.script.put_nowait(Batch([sample(3)]))
-        await hall.until_true(lambda: len(hall.stored()) == 3)
-
-
-async def test_a_device_that_takes_one_connection_gets_the_new_driver_a_moment_later(
-    hall: Hall, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("service.ingest.ingest.REPLACED_AFTER_S", 0.2)
-    old, new = ScriptedSource("plc"), ScriptedSource("plc")
-    async with hall.running(old):
-        await asyncio.wait_for(hall.ingest.replace("plc", new), PATIENCE_S)
-        assert (old.left, new.left) == (1, 0)

@@ -6,9 +6,10 @@ from collections.abc import Iterable
 
 import pytest
 from prometheus_client import CollectorRegistry
+from site_files import asset_table
 
 from adapters.samples import Quality, Sample, is_good
-from service.ingest.quality import QualityChecks
+from service.ingest.quality import REASONS, QualityChecks
 from service.site.check_limits import CheckLimits
 from service.site.configuration import SettingsError
 from service.site.settings import Settings
@@ -50,6 +51,13 @@ class Line:
 
 def ramp(start: float, per_s: float, seconds: Iterable[int]) -> list[tuple[float, float]]:
     return [(t, start + per_s * t) for t in seconds]
+
+
+def test_every_reason_is_counted_from_the_start() -> None:
+    registry = Line().registry
+    for reason in REASONS:
+        labels = {"asset": "", "channel": "", "reason": reason}
+        assert registry.get_sample_value("bearing_twin_samples_doubted_total", labels) == 0.0
 
 
 def test_a_plausible_machine_passes_untouched() -> None:
@@ -143,19 +151,8 @@ def test_what_a_source_calls_bad_stays_as_it_is_and_spoils_nothing() -> None:
 # ------------------------------------------------------------------ which channel is checked how
 def wired(**channels: dict[str, object]) -> dict[tuple[str, str], CheckLimits]:
     source = {"name": "p", "driver": "modbus-tcp", "host": "127.0.0.1", "port": 5020}
-    settings = Settings.model_validate(
-        {
-            "sources": [source],
-            "assets": [
-                {
-                    "id": "a",
-                    "bearing": "6311",
-                    "low_risk": {"speed_rpm_max": 4000, "load_n_max": 3000},
-                    "channels": channels,
-                }
-            ],
-        }
-    )
+    asset = asset_table("a") | {"channels": channels}
+    settings = Settings.model_validate({"sources": [source], "assets": [asset]})
     return wire(settings).check_limits
 
 

@@ -143,6 +143,7 @@ for k in range(100000):
 """
 
 
+@pytest.mark.wires
 def test_what_was_acknowledged_survives_kill_9(tmp_path: Path) -> None:
     random_moment = random.Random(2)
     for _ in range(3):

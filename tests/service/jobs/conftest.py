@@ -1,7 +1,7 @@
 """A store with two hours of a real run in it: simulated, sampled, with sensor noise."""
 
 import shutil
-from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+from collections.abc import AsyncIterator, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 from job_shop import ASSET, Shop
 from jumping import jumping_in, seen_threads
+from site_files import asset_section
 
 from adapters.samples import Quality, Sample
 from service.alarms import AlarmBook
-from service.bus.stream import Bus
+from service.bus.stream import LiveMessages
 from service.jobs.history import AssetHistory
 from service.jobs.models import active_model, first_model
 from service.kernels import compile_kernels
@@ -55,17 +56,6 @@ class HandClock:
         self.us += round(process_seconds * 1e6)
 
 
-def section(**changes: Any) -> AssetSection:
-    channels = ("speed_rpm", "load_n", "ambient_c", "t_inner_ring_c", "t_outer_ring_c")
-    document = {
-        "id": ASSET,
-        "bearing": "6311",
-        "low_risk": {"speed_rpm_max": 4300, "load_n_max": 3400},
-        "channels": {name: {"source": "push"} for name in channels},
-    }
-    return AssetSection.model_validate(document | changes)
-
-
 def good(channel: str, time_us: int, value: float, quality: int = Quality.GOOD) -> Sample:
     return Sample(ASSET, channel, time_us, value, quality, time_us)
 
@@ -84,11 +74,9 @@ def run_samples() -> list[Sample]:
         OperatingProfile(time_s, speeds, LOAD_N * full, AMBIENT_C * full),
         np.full(13, AMBIENT_C),
     )
-    columns = {
-        "speed_rpm": speeds,
-        "load_n": LOAD_N * full,
-        "ambient_c": AMBIENT_C * full,
-    } | {name: machine.temperatures_c @ model.sensor_row(name) for name in model.sensor_names}
+    columns = {"speed_rpm": speeds, "load_n": LOAD_N * full, "ambient_c": AMBIENT_C * full} | {
+        name: machine.temperatures_c @ model.sensor_row(name) for name in model.sensor_names
+    }
     rng = np.random.default_rng(1)
     samples = []
     for channel, values in columns.items():
@@ -132,27 +120,12 @@ def clock() -> HandClock:
     return HandClock(START_US + (RUN_MINUTES + 10) * MINUTE_US)
 
 
-@pytest.fixture
-def make_section() -> Callable[..., AssetSection]:
-    return section
-
-
-@pytest.fixture
-def make_sample() -> Callable[..., Sample]:
-    return good
-
-
-@pytest.fixture
-def start_us() -> int:
-    return START_US
-
-
 @asynccontextmanager
 async def opened_shop(
     store: Store, clock: Any, folder: Path, sections: Sequence[AssetSection]
 ) -> AsyncIterator[Shop]:
     """A shop for these assets, each with its priors as the active version."""
-    bus = Bus(clock)
+    bus = LiveMessages(clock)
     outbox = Outbox.open(folder, store)
     alarms = AlarmBook(outbox, clock, lambda _: None)
     assets, histories = {}, {}
@@ -184,9 +157,7 @@ async def opened_shop(
 
 
 @pytest.fixture
-async def shop(
-    run_store: Store, clock: Any, make_section: Callable[..., Any], tmp_path: Path
-) -> AsyncIterator[Shop]:
-    sections = [make_section(id=asset_id) for asset_id in (ASSET, "bench-2")]
+async def shop(run_store: Store, clock: Any, tmp_path: Path) -> AsyncIterator[Shop]:
+    sections = [asset_section(id=asset_id) for asset_id in (ASSET, "bench-2")]
     async with opened_shop(run_store, clock, tmp_path, sections) as shop:
         yield shop

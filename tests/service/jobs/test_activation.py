@@ -1,8 +1,6 @@
 """Activating versions, and going back."""
 
 import asyncio
-from collections.abc import Callable
-from typing import Any
 
 import pytest
 from job_shop import ASSET, Shop
@@ -11,6 +9,10 @@ from structlog.testing import capture_logs
 from service.domain.errors import ActivationRefusedError
 from service.jobs.models import first_model
 from service.store import JournalFilter
+
+from .conftest import asset_section
+
+pytestmark = pytest.mark.wires
 
 
 async def test_a_rejected_version_is_activated_only_by_force_with_a_comment(shop: Shop) -> None:
@@ -44,12 +46,10 @@ async def test_an_unknown_version_is_not_activated(shop: Shop) -> None:
         await jobs.activate(ASSET, 7, "x", None, force=False)
 
 
-async def test_a_version_of_another_bearing_is_not_activated(
-    shop: Shop, make_section: Callable[..., Any]
-) -> None:
+async def test_a_version_of_another_bearing_is_not_activated(shop: Shop) -> None:
     """The configuration may have been changed since it was identified."""
     jobs = await shop.open()
-    foreign = first_model(make_section(bearing="6016"))
+    foreign = first_model(asset_section(bearing="6016"))
     shop.store.models.add(ASSET, "candidate", "", foreign, 2)
     with pytest.raises(ActivationRefusedError, match=r"6016.*6311"):
         await jobs.activate(ASSET, 2, "x", "force", force=True)

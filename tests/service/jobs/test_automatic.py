@@ -3,10 +3,13 @@
 import asyncio
 from pathlib import Path
 
+import pytest
 from job_shop import ASSET, HeldExecutor, Shop, away, until
 from structlog.testing import capture_logs
 
-from service.jobs.automatic import LOOK_EVERY_S, identify_by_itself
+from service.jobs.automatic import LOOK_EVERY_S, identify_automatically
+
+pytestmark = pytest.mark.wires
 
 
 async def test_new_windows_are_identified_by_itself_and_what_was_cancelled_is_not_repeated(
@@ -15,7 +18,7 @@ async def test_new_windows_are_identified_by_itself_and_what_was_cancelled_is_no
     held = HeldExecutor()
     jobs = await shop.open(held)
     with away(tmp_path, "samples"), capture_logs() as logs:
-        looking = asyncio.create_task(identify_by_itself(jobs, shop.histories, shop.clock))
+        looking = asyncio.create_task(identify_automatically(jobs, shop.histories, shop.clock))
         # Looks that fail; the next ones must come all the same.
         await until(lambda: len([one for one in logs if "failed" in one["event"]]) > 3)
         assert shop.store.jobs.of_asset(ASSET) == []

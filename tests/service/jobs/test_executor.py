@@ -22,6 +22,7 @@ def test_a_killed_worker_is_noticed() -> None:
         executor.submit(os._exit, 9).result(180)
 
 
+@pytest.mark.wires
 def test_numba_may_be_given_less_than_the_machine_has() -> None:
     """A container's share, or the user's wish: a worker must not ask for more threads."""
     prepare = (

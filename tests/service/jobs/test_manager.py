@@ -2,17 +2,18 @@
 
 import asyncio
 import json
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 from job_shop import ASSET, QUICK, WHO, HeldExecutor, Shop, away, until
+from site_files import asset_section
 from structlog.testing import capture_logs
 
 from service.clock import rfc3339
 from service.domain.errors import JobConflictError, KeyUsedBeforeError, RequestRefusedError
 from service.domain.requests import IdentificationRequest, TimeWindow
+
+pytestmark = pytest.mark.wires
 
 MINUTE_US = 60_000_000
 
@@ -101,10 +102,8 @@ async def test_a_second_version_is_compared_with_the_first(shop: Shop) -> None:
 
 
 @pytest.mark.parametrize("ladder", ["suggest", "observe"])
-async def test_below_apply_a_candidate_waits_for_an_engineer(
-    shop: Shop, make_section: Callable[..., Any], ladder: str
-) -> None:
-    shop.assets[ASSET].settings = make_section(identification={"ladder": ladder})
+async def test_below_apply_a_candidate_waits_for_an_engineer(shop: Shop, ladder: str) -> None:
+    shop.assets[ASSET].settings = asset_section(identification={"ladder": ladder})
     jobs = await shop.open()
     shown, _ = await jobs.create(ASSET, QUICK, None, "x")
     job = await shop.ended(jobs, shown.id)

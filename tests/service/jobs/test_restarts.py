@@ -5,6 +5,8 @@ import asyncio
 import pytest
 from job_shop import ASSET, QUICK, WHO, HeldExecutor, Shop
 
+pytestmark = pytest.mark.wires
+
 
 async def test_a_stopped_service_takes_its_job_up_again(shop: Shop) -> None:
     held = HeldExecutor()

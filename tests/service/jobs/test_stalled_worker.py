@@ -4,12 +4,15 @@ import os
 import signal
 from multiprocessing.process import BaseProcess
 
+import pytest
 from job_shop import ASSET, QUICK, Shop, until
 
 from service.domain.requests import IdentificationRequest
 from service.jobs.executor import STALLED_AFTER_WALL_S, make_executor
 from service.jobs.manager import IdentificationJobs
 from service.jobs.workspace import JobFolder
+
+pytestmark = pytest.mark.wires
 
 PATIENCE_S = 180.0
 HANGS_S = 2.0

@@ -2,12 +2,15 @@
 
 from pathlib import Path
 
+import pytest
 from job_shop import ASSET, QUICK, HeldExecutor, Shop, away, until
 from structlog.testing import capture_logs
 
 from service.domain.requests import IdentificationRequest
 from service.jobs.executor import make_executor
 from service.jobs.workspace import JobFolder
+
+pytestmark = pytest.mark.wires
 
 PATIENCE_S = 180.0
 LONG = IdentificationRequest(method="noa", budget=5_000_000)

@@ -6,7 +6,6 @@ import multiprocessing
 import os
 import signal
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,25 +19,23 @@ from service.site.machines.bearings import named_bearing
 from service.site.machines.machine import Machine
 from service.store import Store
 from twin_core.bearings import bearing
-from twin_core.identification.identify import identify
+from twin_core.identification.identify import FitSettings, identify
 from twin_core.identification.posterior import prior_posterior
 from twin_core.models import build_model
+
+from .conftest import START_US, asset_section
+
+pytestmark = pytest.mark.wires
 
 BUDGET = 32_000
 """Evaluations of NOA alone: some seconds."""
 
 
 @pytest.fixture
-def order(
-    run_store: Store,
-    clock: Any,
-    make_section: Callable[..., Any],
-    start_us: int,
-    tmp_path: Path,
-) -> JobOrder:
-    section = make_section(id="bench-1")
+def order(run_store: Store, clock: Any, tmp_path: Path) -> JobOrder:
+    section = asset_section(id="bench-1")
     history = AssetHistory(section, run_store, clock)
-    data = asyncio.run(history.identification_data([(start_us, start_us + 4_000_000_000)]))
+    data = asyncio.run(history.identification_data([(START_US, START_US + 4_000_000_000)]))
     folder = JobFolder(tmp_path / "jobs" / "one")
     folder.make()
     return JobOrder(
@@ -119,10 +116,7 @@ def _checkpoint_of(order: JobOrder) -> dict[str, Any]:
     identify(
         order.machine.build(),
         order.data,
-        method=order.method,
-        budget=order.budget or 0,
-        seed=order.seed,
-        samples=0,
+        FitSettings(method=order.method, budget=order.budget or 0, seed=order.seed, samples=0),
         save=lambda state: kept.append(state()),
     )
     return kept[-1]

@@ -9,37 +9,38 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import site_files
 from jumping import LoopClock, pytest_asyncio_loop_factories, seen_threads
+from site_files import CHANNELS
 
 from adapters.samples import PlannedProfile, PlanStep, Quality, Sample
 from service.alarms import AlarmBook
-from service.bus.stream import Bus, Subscription
-from service.documents.advice import AdviceDocument
+from service.bus.stream import LiveMessages
+from service.bus.subscription import Subscription
 from service.documents.alarms import alarm_document
 from service.documents.envelope import EnvelopeDocument
 from service.documents.forecasts import WhatIf
 from service.documents.machine import PresentMachine
 from service.domain.requests import ProfileStep
-from service.live.advice import give_advice
+from service.features.advice.advising import give_advice
+from service.features.advice.documents import AdviceDocument
 from service.live.asset import AssetRuntime
 from service.live.asset_documents import AssetDocuments
-from service.live.envelope import EnvelopeKeeper
-from service.live.estimate import ActiveModel, EstimatedState
+from service.live.envelope_keeper import EnvelopeKeeper
+from service.live.estimate import EstimatedState, RunningModel
 from service.live.forecasting import what_if_document
 from service.live.twins import Twins
 from service.site.asset_section import AssetSection
 from service.site.wiring import ChannelFacts
 from service.store import AuditEntry, Outbox, Store
-from service.store.forecast_records import IssuedForecast
 from twin_core.bearings import bearing
-from twin_core.forecasting.design import Level
 from twin_core.identification.posterior import prior_posterior
 from twin_core.models import build_model
+from twin_core.profiles import Step
 
 __all__ = ["pytest_asyncio_loop_factories", "seen_threads"]
 
 RATE = 600.0
-CHANNELS = ("speed_rpm", "load_n", "ambient_c", "t_inner_ring_c", "t_outer_ring_c")
 REST = {
     "speed_rpm": 0.0,
     "load_n": 2650.0,
@@ -49,23 +50,17 @@ REST = {
 }
 
 
-def version(number: int = 1, designation: str = "6311", z: float = 0.0) -> ActiveModel:
+def make_version(number: int = 1, designation: str = "6311", z: float = 0.0) -> RunningModel:
     """A version of the model of 6311, its parameters z standard deviations off the priors."""
     prior = prior_posterior(build_model("default", bearing=bearing(designation)))
     document = prior.to_dict() | {"z": (prior.z + z).tolist()}
     model = build_model("default", bearing=bearing("6311"))
-    return ActiveModel(number, model, type(prior).from_dict(document), None)
+    return RunningModel(number, model, type(prior).from_dict(document), None)
 
 
 def asset_section(channels: Sequence[str] = CHANNELS, **changes: Any) -> AssetSection:
-    document = {
-        "id": "bench-1",
-        "bearing": "6311",
-        "low_risk": {"speed_rpm_max": 4300, "load_n_max": 3400},
-        "limits": {"t_inner_ring_c": {"warning": 70, "alarm": 95}},
-        "channels": {name: {"source": "push"} for name in channels},
-    }
-    return AssetSection.model_validate(document | changes)
+    limits = {"t_inner_ring_c": {"warning": 70, "alarm": 95}}
+    return site_files.asset_section(channels=channels, **{"limits": limits} | changes)
 
 
 @dataclass
@@ -75,15 +70,15 @@ class Live:
     runtime: AssetRuntime
     clock: LoopClock
     store: Store
-    bus: Bus
+    bus: LiveMessages
     alarms: AlarmBook
     saved: list[Mapping[str, Any]] = field(default_factory=list)
     audit: list[AuditEntry] = field(default_factory=list)
-    kept: list[IssuedForecast] = field(default_factory=list)
     stored: list[Sample] = field(default_factory=list)
     store_is_away: bool = False
     refused: int = 0
     task: asyncio.Task[None] | None = None
+    ready: asyncio.Event | None = None
 
     def __post_init__(self) -> None:
         self.envelopes = EnvelopeKeeper(self.runtime.settings)
@@ -94,9 +89,9 @@ class Live:
     async def _run(self, kept: Mapping[str, Any] | None) -> None:
         twins = Twins(self.clock)
         async with asyncio.TaskGroup() as tasks:
-            tasks.create_task(twins.run())
+            tasks.create_task(twins.run(self.ready))
             with twins.stepping(self.runtime):
-                await self.runtime.run(kept)
+                await self.runtime.run(kept, self.ready)
 
     async def stop(self) -> None:
         assert self.task is not None
@@ -153,12 +148,13 @@ class Live:
         machine, state = self._shown()
         return self.envelopes.document(state, machine.planned, machine.measured_c)
 
-    def advice(self, speed_rpm: float, load_n: float, duration_s: float) -> AdviceDocument:
+    def advice(
+        self, speed_rpm: float, load_n: float, duration_s: float, half_width_k: float | None = None
+    ) -> AdviceDocument:
         settings = self.runtime.settings
         _, state = self._shown()
-        return give_advice(
-            settings, state, list(settings.channels), Level(speed_rpm, load_n, duration_s)
-        )
+        target = Step(speed_rpm, load_n, duration_s)
+        return give_advice(settings, state, list(settings.channels), target, half_width_k)
 
     def _shown(self) -> tuple[PresentMachine, EstimatedState]:
         """What a worker of the web side reads of what the cell sends."""
@@ -176,16 +172,6 @@ def machine_at_rest() -> dict[str, float]:
 
 
 @pytest.fixture
-def make_version() -> Callable[..., ActiveModel]:
-    return version
-
-
-@pytest.fixture
-def make_section() -> Callable[..., AssetSection]:
-    return asset_section
-
-
-@pytest.fixture
 def executor() -> Iterator[ThreadPoolExecutor]:
     with ThreadPoolExecutor(1) as executor:
         yield executor
@@ -200,11 +186,11 @@ async def make_live(
     clock = LoopClock(RATE, time.time_ns() // 1000)
     store = Store.open("", tmp_path)
     outbox = Outbox.open(tmp_path, store)
-    bus = Bus(clock)
+    bus = LiveMessages(clock)
 
     def make(
         settings: AssetSection | None = None,
-        active: ActiveModel | None = None,
+        active: RunningModel | None = None,
         max_age_s: float = 10.0,
     ) -> Live:
         section = settings or asset_section()
@@ -222,14 +208,13 @@ async def make_live(
         runtime = AssetRuntime(
             section,
             {name: ChannelFacts("push", max_age_s) for name in section.channels},
-            active or version(),
+            active or make_version(),
             clock=clock,
             bus=bus,
             alarms=book,
             executor=executor,
             store_samples=lambda samples: live.stored.extend(samples),
             save_state=save_state,
-            keep_forecast=lambda issued: live.kept.append(issued),
         )
         live = Live(runtime, clock, store, bus, book)
         made.append(live)

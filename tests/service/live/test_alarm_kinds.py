@@ -2,114 +2,24 @@
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from adapters.samples import Quality, Sample, meaning
-from service.alarm_kinds import KINDS, AlarmsSection
-from service.alarms import AlarmBook, AlarmCondition
-from service.domain.alarm_kind import AlarmContext
+from adapters.samples import Quality, meaning
+from service.alarm_kinds import AlarmsSection
+from service.alarms import AlarmBook
 from service.live.presentation import LimitCrossing
 from service.live.readings import Readings, allowed_age_s
-from service.live.sources import Sources
-from service.site.asset_section import Limits
-from service.site.wiring import ChannelFacts
 from service.store import Alarm, Outbox, Store
 from twin_core.cusum import Cusum
 
-NOW_US = 1_763_700_000_000_000
-RING = "t_inner_ring_c"
-LIMITS = {RING: Limits(warning=70, alarm=95)}
-FACTS = {
-    RING: ChannelFacts("pt100", 10.0),
-    "ambient_c": ChannelFacts("pt100", 10.0),
-    "speed_rpm": ChannelFacts("drive", 10.0),
-}
-
-
-@dataclass
-class Bench:
-    """Readings of two channels on a clock that a test moves, and an alarm book behind them."""
-
-    readings: Readings
-    book: AlarmBook | None = None
-    now_us: int = NOW_US
-    present: set[tuple[str, str, str]] = field(default_factory=set)
-    facts: dict[str, Any] = field(default_factory=dict)
-    section: AlarmsSection = field(default_factory=AlarmsSection)
-
-    def __post_init__(self) -> None:
-        self.sources = Sources(FACTS, self.readings)
-
-    def read(self, value: float, quality: int = Quality.GOOD, channel: str = RING) -> None:
-        sample = Sample("bench-1", channel, self.now_us, value, quality, self.now_us)
-        self.readings.add([sample])
-
-    def context(self, **evidence: Any) -> AlarmContext:
-        self.sources.look(self.now_us)
-        return AlarmContext(
-            "bench-1",
-            LIMITS,
-            FACTS,
-            self.readings,
-            self.sources,
-            self.now_us,
-            lambda kind, channel, level: (kind, channel, level) in self.present,
-            **self.facts,
-            **evidence,
-        )
-
-    def conditions(self, kind: str, **evidence: Any) -> list[AlarmCondition]:
-        """The conditions of one kind, from what is known and this evidence."""
-        found = KINDS[kind].conditions(self.context(**evidence), self.section.rule(KINDS[kind]))
-        return list(found)
-
-    def measured(self) -> dict[str, AlarmCondition]:
-        return {condition.level: condition for condition in self.conditions("measured limit")}
-
-    def forecast(self, **crossing: float | None) -> AlarmCondition:
-        """The condition of the warning limit for one crossing."""
-        given = {"probability": 0.0, "median_s": None, "earliest_s": None} | crossing
-        crossings = {RING: {"warning": LimitCrossing(**given)}}  # type: ignore[arg-type]
-        (condition,) = self.conditions("forecast limit", crossings=crossings)
-        return condition
-
-    def sensors(self) -> dict[str, AlarmCondition]:
-        found = (*self.conditions("stale data"), *self.conditions("sensor fault"))
-        return {condition.kind: condition for condition in found if condition.channel == RING}
-
-    def hold(self, value: float, seconds: float) -> list[tuple[str, str]]:
-        """Read a value every second so long; (level, state) of the measured alarms then."""
-        assert self.book is not None
-        for _ in range(round(seconds)):
-            self.now_us += 1_000_000
-            self.read(value)
-            for condition in self.measured().values():
-                self.book.evaluate(condition)
-        return sorted((alarm.level, alarm.state) for alarm in self.book.active())
+from .alarm_scene import FACTS, NOW_US, RING, Bench, SceneClock
 
 
 @pytest.fixture
 def scene() -> Bench:
     return Bench(Readings("bench-1", dict.fromkeys(FACTS, 10.0), NOW_US))
-
-
-class SceneClock:
-    """The scene's time as the alarm book sees it."""
-
-    rate = 1.0
-
-    def __init__(self, scene: Bench) -> None:
-        self._scene = scene
-
-    def now_us(self) -> int:
-        return self._scene.now_us
-
-    async def sleep(self, process_seconds: float) -> None:
-        self._scene.now_us += round(process_seconds * 1e6)
 
 
 @pytest.fixture
@@ -184,15 +94,97 @@ def test_a_probable_crossing_is_announced_with_its_lead_time(scene: Bench) -> No
     assert condition.active is True
     assert condition.predicted
     assert (condition.probability, condition.lead_time_s) == (0.9, 1500.0), "the earliest"
-    assert condition.message == "Inner ring will exceed warning 70 °C"
+    assert condition.message == "Inner ring may exceed warning 70 °C, 90 %"
     assert condition.value is None, "what is forecast was not measured"
+
+
+def test_the_text_says_how_such_forecasts_have_done(scene: Bench) -> None:
+    asked = []
+
+    def record(channel: str, lead_time_s: float | None) -> str:
+        asked.append((channel, lead_time_s))
+        return "record 1 h ahead, high risk: 31 of 32 inside (4 independent runs)"
+
+    likely = {RING: {"warning": LimitCrossing(0.82, 2400.0, 1500.0)}}
+    (condition,) = scene.conditions("forecast limit", crossings=likely, record=record)
+    assert condition.message == (
+        "Inner ring may exceed warning 70 °C, 82 %; "
+        "record 1 h ahead, high risk: 31 of 32 inside (4 independent runs)"
+    )
+    assert asked == [(RING, 2400.0)]
+    calm = {RING: {"warning": LimitCrossing(0.01, None, None)}}
+    (condition,) = scene.conditions("forecast limit", crossings=calm, record=record)
+    assert (condition.active, len(asked)) == (False, 1), "nothing is asked for without an alarm"
+
+
+def test_a_model_that_was_never_identified_announces_nothing(scene: Bench) -> None:
+    crossings = {RING: {"warning": LimitCrossing(0.99, 60.0, 30.0)}}
+    (condition,) = scene.conditions("forecast limit", crossings=crossings, identified=False)
+    assert condition.active is False
 
 
 def test_a_possible_crossing_has_the_earliest_time(scene: Bench) -> None:
     condition = scene.forecast(probability=0.3, median_s=None, earliest_s=5400.0)
     assert condition.active is True
     assert condition.lead_time_s == 5400.0
-    assert condition.message == "Inner ring may exceed warning 70 °C"
+    assert condition.message == "Inner ring may exceed warning 70 °C, 30 %"
+
+
+@pytest.mark.parametrize(
+    ("probability", "says"),
+    [
+        (1.0, "will exceed warning 70 °C"),
+        (0.95, "will exceed warning 70 °C"),
+        (0.94, "may exceed warning 70 °C, 94 %"),
+        (0.82, "may exceed warning 70 °C, 82 %"),
+        (0.001, "may exceed warning 70 °C, < 1 %"),
+    ],
+)
+def test_the_text_is_as_certain_as_the_forecast(
+    scene: Bench, probability: float, says: str
+) -> None:
+    condition = scene.forecast(probability=probability, median_s=60.0, earliest_s=30.0)
+    assert condition.message == f"Inner ring {says}"
+
+
+def test_the_text_of_a_standing_prediction_follows_its_probability(booked: Bench) -> None:
+    assert booked.book is not None
+    texts = []
+    for probability in (0.99, 0.82, 0.15, 0.05):
+        booked.now_us += 45_000_000
+        booked.book.evaluate(booked.forecast(probability=probability, earliest_s=600.0))
+        (alarm,) = booked.book.active()
+        texts.append(alarm.message.removeprefix("Inner ring "))
+        assert (alarm.state, alarm.probability) == ("UNACK", probability)
+    assert texts == [
+        "will exceed warning 70 °C",
+        "may exceed warning 70 °C, 82 %",
+        "may exceed warning 70 °C, 15 %",
+        "may exceed warning 70 °C, 5 %",
+    ]
+
+
+@pytest.mark.parametrize("probability", [0.0, 0.15])
+def test_a_prediction_does_not_come_back_while_the_machine_cools(
+    booked: Bench, told: list[Alarm], probability: float
+) -> None:
+    """The heavy step: predicted, exceeded, over; then the forecast is of the cooling."""
+    assert booked.book is not None
+
+    def forecast(probability: float) -> None:
+        booked.now_us += 45_000_000
+        booked.book.evaluate(booked.forecast(probability=probability, earliest_s=600.0))
+
+    for _ in range(3):
+        forecast(1.0)
+    booked.present.add(("measured limit", RING, "warning"))
+    for _ in range(20):
+        forecast(1.0)
+    booked.present.clear()
+    forecast(probability)
+    assert booked.book.active() == []
+    forecast(probability)
+    assert [alarm.state for alarm in told] == ["UNACK", "DSUPR", "NORM"]
 
 
 @pytest.mark.parametrize(
@@ -338,10 +330,14 @@ def test_a_silent_source_is_one_alarm_not_many(scene: Bench) -> None:
         scene.read(50.0)
     scene.now_us += 1_000_000
     assert stale() == {
-        "source:pt100": False, RING: False, "ambient_c": True, "speed_rpm": None,
+        "source:pt100": False, RING: False, "ambient_c": True,
+        "source:drive": None, "speed_rpm": None,
     }, "one sensor is alive"  # fmt: skip
     scene.now_us += 10_000_000
-    assert stale() == {"source:pt100": True, RING: None, "ambient_c": None, "speed_rpm": None}
+    assert stale() == {
+        "source:pt100": True, RING: None, "ambient_c": None,
+        "source:drive": None, "speed_rpm": None,
+    }  # fmt: skip
     scene.present.add(("stale data", "source:pt100", ""))
     assert scene.sensors()["stale data"].suppressed_reason == "source pt100 lost"
     assert scene.sensors()["sensor fault"].suppressed_reason == "no data for inner ring"

@@ -1,37 +1,48 @@
 """One live asset: it follows the machine whatever happens to its parts."""
 
 import asyncio
+import gc
 import json
-import threading
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+import weakref
+from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
 import pytest
+from jumping import LoopClock
 
 from adapters.samples import Quality, Sample
-from service.cell.keeping import StateKeeper
 from service.domain.channels import NODES
-from service.domain.errors import NotReadyError
 from service.domain.requests import ProfileStep
-from service.live.kept import KeptState
-from service.store import AuditEntry
+from service.features.ledger.keeping import KeptForecastsOf
+from service.live.asset import AssetRuntime
+from service.live.twins import Twins
+
+from .conftest import asset_section, make_version
+from .warm_machine import WARM, running
 
 PATIENCE_S = 30.0
-WARM = {
-    "speed_rpm": 2400.0,
-    "load_n": 2650.0,
-    "ambient_c": 23.0,
-    "t_inner_ring_c": 55.0,
-    "t_outer_ring_c": 38.0,
-}
 STEPS = [ProfileStep(duration_s=1800.0, speed_rpm=2400.0, load_n=2650.0)]
 
 
-async def running(live: Any, values: dict[str, float]) -> None:
-    live.start()
-    await live.until(lambda: live.runtime.estimate.started, "a start", values)
+async def test_measured_values_are_there_before_the_kernels_are(
+    make_live: Callable[..., Any], machine_at_rest: dict[str, float]
+) -> None:
+    live = make_live()
+    live.ready = asyncio.Event()
+    live.start({"watch": {}})
+    await live.until(
+        lambda: live.tag("t_inner_ring_c")["quality"] == Quality.GOOD, "a reading", machine_at_rest
+    )
+    for _ in range(20):
+        live.feed(machine_at_rest)
+        await asyncio.sleep(1.0)
+    assert not live.runtime.estimate.started
+    assert live.documents.verdict().now.word == "unknown"
+    assert dict(live.documents.summary().health)["twin_running"] is False
+    live.ready.set()
+    await live.until(lambda: live.runtime.estimate.started, "a start", machine_at_rest)
 
 
 async def test_it_starts_with_the_first_good_values_and_forecasts(
@@ -53,7 +64,8 @@ async def test_it_starts_with_the_first_good_values_and_forecasts(
     assert forecast.planned is False
     assert forecast.time_s[-1] == 4 * 3600
     assert live.tag("t_node_7_c.twin")["value"] == pytest.approx(23.0, abs=0.5)
-    assert live.tag("t_inner_ring_c.forecast_max")["quality"] == Quality.GOOD
+    # The model was never identified.
+    assert live.tag("t_inner_ring_c.forecast_max")["quality"] == Quality.UNCERTAIN
     assert dict(live.documents.summary().health) == {
         "status": "good",
         "twin_running": True,
@@ -74,9 +86,7 @@ async def test_no_stale_value_is_shown_as_live(
     assert "t_inner_ring_c" in live.documents.summary().health.channels_without_good_data
 
 
-async def test_a_forecast_that_fails_does_not_end_the_twin(
-    make_live: Callable[..., Any], make_version: Callable[..., Any]
-) -> None:
+async def test_a_forecast_that_fails_does_not_end_the_twin(make_live: Callable[..., Any]) -> None:
     live = make_live(active=make_version(1, designation="6016"))  # not the asset's bearing
     await running(live, WARM)
     began_us = live.runtime.estimate.time_us
@@ -108,7 +118,7 @@ async def test_a_store_that_takes_no_state_does_not_end_the_twin(
     make_live: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     live = make_live()
-    monkeypatch.setattr("service.live.asset.SAVE_EVERY_WALL_S", 0.1)
+    monkeypatch.setattr("service.live.twins.SAVE_EVERY_WALL_S", 0.1)
     live.store_is_away = True
     await running(live, WARM)
     await live.until(lambda: live.refused > 3, "states that the store did not take", WARM)
@@ -119,6 +129,32 @@ async def test_a_store_that_takes_no_state_does_not_end_the_twin(
     live.store_is_away = True
     await live.stop()
     assert live.task.cancelled()
+
+
+async def test_a_twin_that_collections_of_garbage_pass_over_goes_when_it_has_ended(
+    make_live: Callable[..., Any],
+) -> None:
+    live, twins = make_live(), Twins(LoopClock(600.0, 0))
+    live.runtime.follow_forecasts(KeptForecastsOf(live.runtime, live.clock, lambda issued: None))
+
+    async def follow(twin: AssetRuntime) -> None:
+        with twins.stepping(twin):
+            await twin.run(None)
+
+    stepping = asyncio.create_task(twins.run())
+    live.task = asyncio.create_task(follow(live.runtime))
+    await live.until(live.runtime.documents.forecast, "a forecast", WARM)
+    gc.freeze()  # as the cell does
+    try:
+        await live.stop()
+        ended = weakref.ref(live.runtime), weakref.ref(live.runtime.estimate)
+        live.runtime = live.task = None
+        stepping.cancel()
+        await asyncio.wait({stepping})
+        gc.collect()
+        assert [one() for one in ended] == [None, None]
+    finally:
+        gc.unfreeze()
 
 
 async def test_what_was_kept_is_taken_up(make_live: Callable[..., Any]) -> None:
@@ -148,7 +184,7 @@ async def test_the_first_forecast_after_a_restart_does_not_wait_for_its_period(
     await first.stop()
     kept = json.loads(json.dumps(first.saved[-1]))
     kept["time_us"] += ahead_s * 1_000_000
-    monkeypatch.setattr("service.live.asset.FORECAST_EVERY_S", 1e6)
+    monkeypatch.setattr("service.live.forecast_loop.FORECAST_EVERY_S", 1e6)
     second = make_live()
     second.start(kept)
     await second.until(second.runtime.documents.forecast, "a forecast", WARM)
@@ -163,9 +199,7 @@ async def test_a_kept_state_of_another_kind_is_left_aside(
     await live.until(lambda: live.runtime.estimate.started, "a start", WARM)
 
 
-async def test_a_switch_leaves_no_gap(
-    make_live: Callable[..., Any], make_version: Callable[..., Any]
-) -> None:
+async def test_a_switch_leaves_no_gap(make_live: Callable[..., Any]) -> None:
     live = make_live()
     await running(live, WARM)
     before = live.tag("t_node_7_c.twin")["value"]
@@ -198,10 +232,49 @@ async def test_the_plan_is_followed_while_it_is_fresh(make_live: Callable[..., A
     assert [step.speed_rpm for step in held.profile] == [2400.0]
 
 
+async def test_a_model_that_was_never_identified_raises_no_forecast_alarm(
+    make_live: Callable[..., Any],
+) -> None:
+    """As long as the verdict on the steps is unknown; with the first identification it speaks."""
+    live = make_live()
+    live.start()
+
+    def plan() -> None:
+        live.plan((600.0, 2400.0, 2650.0), (14_400.0, 12_000.0, 20_000.0))
+
+    def predicted() -> list[str]:
+        return [one.channel for one in live.alarms.active() if one.kind == "forecast limit"]
+
+    def hot() -> bool:
+        plan()
+        forecast = live.documents.forecast()
+        return forecast is not None and any(
+            levels["warning"].probability > 0.5 for levels in forecast.time_to_limit.values()
+        )
+
+    await live.until(hot, "a forecast over a limit", WARM)
+    began_us = live.clock.now_us()
+    await live.until(lambda: plan() or live.clock.now_us() > began_us + 300e6, "5 min", WARM)
+    assert predicted() == []
+    said = live.documents.verdict()
+    assert {said.present_step.word, said.next_step.word} == {"unknown"}
+    assert live.tag("t_inner_ring_c.forecast_max")["quality"] == Quality.UNCERTAIN
+    live.runtime.switch(replace(make_version(2), identified_at_us=1))
+    await live.until(lambda: plan() or predicted(), "the alarm", WARM)
+    assert live.tag("t_inner_ring_c.forecast_max")["quality"] == Quality.GOOD
+    live.runtime.switch(make_version(1))
+    live.runtime.look()
+    await live.until(
+        lambda: plan() or {one.state for one in live.alarms.active() if one.predicted} == {"RTNUN"},
+        "the end of an alarm of a model that does not speak any more",
+        WARM,
+    )
+
+
 async def test_a_plan_for_a_hot_stage_raises_the_forecast_alarm(
     make_live: Callable[..., Any],
 ) -> None:
-    live = make_live()
+    live = make_live(active=replace(make_version(), identified_at_us=1))
     subscription = live.subscribe()
     live.plan((600.0, 2400.0, 2650.0), (14_400.0, 12_000.0, 20_000.0))
     live.start()
@@ -260,9 +333,9 @@ async def test_what_if_answers_from_the_present_state(make_live: Callable[..., A
 
 
 async def test_an_asset_without_temperatures_only_shows_what_it_has(
-    make_live: Callable[..., Any], make_section: Callable[..., Any]
+    make_live: Callable[..., Any],
 ) -> None:
-    live = make_live(make_section(("speed_rpm", "load_n")))
+    live = make_live(asset_section(("speed_rpm", "load_n")))
     live.start()
     await live.until(
         lambda: live.tag("speed_rpm")["value"] == 1500.0,
@@ -278,11 +351,9 @@ async def test_an_asset_without_temperatures_only_shows_what_it_has(
     assert not live.task.done()
 
 
-async def test_a_limit_on_a_node_is_shown_but_not_predicted(
-    make_live: Callable[..., Any], make_section: Callable[..., Any]
-) -> None:
+async def test_a_limit_on_a_node_is_shown_but_not_predicted(make_live: Callable[..., Any]) -> None:
     limits = {"t_node_7_c": {"warning": 60, "alarm": 80}}
-    live = make_live(make_section(limits=limits))
+    live = make_live(asset_section(limits=limits))
     live.start()
     forecast = await live.until(live.documents.forecast, "a forecast", WARM)
     assert {name: dict(pair) for name, pair in forecast.limits.items()} == limits
@@ -351,67 +422,3 @@ async def test_a_machine_that_turns_backwards_is_not_taken_for_standing(
     live = make_live()
     await running(live, WARM | {"speed_rpm": -2400.0})
     assert live.runtime.estimate.point.speed_rpm == 2400.0
-
-
-async def test_renewed_grease_counts_from_zero_and_after_a_restart_too(
-    make_live: Callable[..., Any],
-) -> None:
-    live = make_live()
-    with pytest.raises(NotReadyError):
-        await live.runtime.renew_grease("engineer eva", "")
-    await running(live, WARM)
-    await live.until(lambda: live.documents.state().revolutions > 1000, "turning", WARM)
-    live.saved.clear()
-    answer = await live.runtime.renew_grease("engineer eva", "regreased")
-    assert answer.revolutions_before > 1000
-    assert answer.revolutions == 0
-    assert live.saved[0]["observer"]["revolutions"] == 0.0
-    await live.stop()
-    again = make_live()
-    again.start(json.loads(json.dumps(live.saved[0])))
-    await asyncio.sleep(0)
-    assert again.runtime.estimate.revolutions == 0.0
-    assert live.alarms._outbox.flush(30)
-    (event,) = [line for line in live.store.alarms.journal().items if line.kind == "grease renewed"]
-    assert (event.who, event.comment) == ("engineer eva", "regreased")
-
-
-async def test_the_line_of_renewed_grease_is_kept_with_the_first_state_that_has_it(
-    make_live: Callable[..., Any],
-) -> None:
-    live = make_live()
-    await running(live, WARM)
-    line = AuditEntry(1, "engineer eva", "", "asset.grease-renewed")
-    live.store_is_away = True
-    with pytest.raises(OSError, match="no space left"):
-        await live.runtime.renew_grease("engineer eva", "", line)
-    live.store_is_away = False
-    live.saved.clear()
-    await live.until(lambda: live.saved, "the next state", WARM)
-    await live.runtime._keep_state()
-    assert live.audit == [line], "once, with the state that has it"
-
-
-async def test_a_line_on_its_way_is_not_sent_again_when_who_waits_for_it_leaves(
-    make_live: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    live = make_live()
-    await running(live, WARM)
-    begun, go_on = threading.Event(), threading.Event()
-    written: list[AuditEntry] = []
-
-    def write(documents: Mapping[str, KeptState], lines: Sequence[AuditEntry]) -> None:
-        begun.set()
-        go_on.wait(PATIENCE_S)
-        written.extend(lines)
-
-    save = partial(StateKeeper(write).save, live.runtime.id)
-    monkeypatch.setattr(live.runtime, "_save_state", save)
-    line = AuditEntry(1, "engineer eva", "", "asset.grease-renewed")
-    calling = asyncio.create_task(live.runtime.renew_grease("engineer eva", "", line))
-    assert await asyncio.to_thread(begun.wait, PATIENCE_S)
-    calling.cancel()
-    await asyncio.wait({calling})
-    go_on.set()
-    await live.runtime._keep_state()
-    assert written == [line]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from service.live.estimate import ActiveModel, LiveEstimate
+from service.live.estimate import LiveEstimate, RunningModel
 from twin_core.bearings import bearing
 from twin_core.identification.posterior import prior_posterior
 from twin_core.models import ThermalModel, build_model
@@ -34,14 +34,14 @@ def model() -> ThermalModel:
 
 @pytest.fixture
 def estimate(model: ThermalModel) -> LiveEstimate:
-    return LiveEstimate(ActiveModel(1, model, prior_posterior(model), None))
+    return LiveEstimate(RunningModel(1, model, prior_posterior(model), None))
 
 
-def other_model(model: ThermalModel) -> ActiveModel:
+def other_model(model: ThermalModel) -> RunningModel:
     """A version whose parameters differ a little from the priors."""
     prior = prior_posterior(model)
     document = prior.to_dict() | {"z": (prior.z + 0.3).tolist()}
-    return ActiveModel(2, model, type(prior).from_dict(document), START_US)
+    return RunningModel(2, model, type(prior).from_dict(document), START_US)
 
 
 def at(seconds: float) -> int:
@@ -219,7 +219,7 @@ def test_a_restored_estimate_goes_on_exactly_as_the_kept_one(
     """The heat disturbances that the observer has learned are part of it."""
     time_s = follow(estimate, WARM, 0.0, 3600.0)
     kept = json.loads(json.dumps(estimate.to_dict()))
-    again = LiveEstimate(ActiveModel(1, model, prior_posterior(model), None))
+    again = LiveEstimate(RunningModel(1, model, prior_posterior(model), None))
     again.restore(kept)
     for one in (estimate, again):
         follow(one, {}, time_s, time_s + 1200.0)
@@ -247,7 +247,7 @@ def test_what_cannot_be_restored_leaves_it_to_start_anew(
     estimate.step(at(0), REST)
     kept = (estimate.to_dict() or {}) | change
     kept = {name: value for name, value in kept.items() if value is not ...}
-    again = LiveEstimate(ActiveModel(1, model, prior_posterior(model), None))
+    again = LiveEstimate(RunningModel(1, model, prior_posterior(model), None))
     with pytest.raises(ValueError, match=r"observer|kept|invalid"):
         again.restore(kept)
     assert not again.started

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from service.documents.advice import AdviceDocument
 from service.documents.envelope import (
     EnvelopeDocument,
     EnvelopeMaps,
@@ -19,11 +18,14 @@ from service.documents.envelope import (
 from service.documents.limits import LowRisk
 from service.domain.errors import NotIdentifiedError
 from service.domain.requests import ProfileStep
-from service.live.envelope import grid, with_present
-from service.live.estimate import ActiveModel
+from service.features.advice.documents import AdviceDocument
+from service.live.envelope_keeper import grid, with_present
+from service.live.estimate import RunningModel
 from twin_core import profiles
 from twin_core.identification.posterior import TrainedRange
-from twin_core.operating_points import OperatingPoint
+from twin_core.operating_points import OperatingSpan
+
+from .conftest import asset_section, make_version
 
 RING = "t_inner_ring_c"
 RUNNING = {
@@ -36,9 +38,9 @@ RUNNING = {
 SENSORS = {"t_inner_ring_c", "t_outer_ring_c"}
 
 
-def identified(version: ActiveModel) -> ActiveModel:
+def identified(version: RunningModel) -> RunningModel:
     """The version as if it had been identified from four hours at one point."""
-    points = (OperatingPoint(4200.0, 2650.0, 14400.0, 0.0),)
+    points = (OperatingSpan(4200.0, 2650.0, 14400.0, 0.0),)
     posterior = replace(
         version.posterior,
         covariance=0.3**2 * np.eye(version.posterior.z.size),
@@ -50,12 +52,12 @@ def identified(version: ActiveModel) -> ActiveModel:
 @pytest.fixture(autouse=True)
 def small_grid(monkeypatch: pytest.MonkeyPatch) -> None:
     """The whole map takes a second of two processors; these tests are not about its size."""
-    monkeypatch.setattr("service.live.envelope.SPEEDS", 4)
-    monkeypatch.setattr("service.live.envelope.LOADS", 3)
+    monkeypatch.setattr("service.live.envelope_keeper.SPEEDS", 4)
+    monkeypatch.setattr("service.live.envelope_keeper.LOADS", 3)
 
 
 @pytest.fixture
-async def live(make_live: Callable[..., Any], make_version: Callable[..., ActiveModel]) -> Any:
+async def live(make_live: Callable[..., Any]) -> Any:
     live = make_live(active=identified(make_version(3)))
     live.start()
     live.feed(RUNNING)
@@ -65,7 +67,7 @@ async def live(make_live: Callable[..., Any], make_version: Callable[..., Active
 
 # ---------------------------------------------------------------------------- margin
 async def test_a_forecast_carries_the_margin_to_a_runaway_of_an_identified_model(
-    live: Any, make_live: Callable[..., Any], make_version: Callable[..., ActiveModel]
+    live: Any, make_live: Callable[..., Any]
 ) -> None:
     heavy = ProfileStep(duration_s=3600.0, speed_rpm=6200.0, load_n=5500.0)
     light = ProfileStep(duration_s=3600.0, speed_rpm=4200.0, load_n=2650.0)
@@ -119,9 +121,7 @@ async def test_envelope_document_has_the_shape_it_promises(live: Any) -> None:
     assert inner.steady_c.q975[-1][-1] > inner.steady_c.q975[0][0]
 
 
-async def test_envelope_is_kept_until_the_model_changes(
-    live: Any, make_version: Callable[..., ActiveModel]
-) -> None:
+async def test_envelope_is_kept_until_the_model_changes(live: Any) -> None:
     first, second = live.envelope(), live.envelope()
     assert second.sensors[RING] is first.sensors[RING]
     live.runtime.switch(identified(make_version(4, z=0.3)))
@@ -131,7 +131,7 @@ async def test_envelope_is_kept_until_the_model_changes(
 
 
 async def test_envelope_follows_the_machine(live: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("service.live.envelope.LEAST_WALL_S", 0.0)
+    monkeypatch.setattr("service.live.envelope_keeper.LEAST_WALL_S", 0.0)
     first = live.envelope()
     hot = RUNNING | {"t_inner_ring_c": 63.0, "t_outer_ring_c": 52.0}
     row = live.runtime.active.model.sensor_row("t_inner_ring_c")
@@ -143,9 +143,7 @@ async def test_envelope_follows_the_machine(live: Any, monkeypatch: pytest.Monke
     assert second.made_at > first.made_at
 
 
-async def test_an_envelope_from_priors_says_so(
-    make_live: Callable[..., Any], make_version: Callable[..., ActiveModel]
-) -> None:
+async def test_an_envelope_from_priors_says_so(make_live: Callable[..., Any]) -> None:
     live = make_live(active=make_version(1))
     live.start()
     await live.until(lambda: live.runtime.estimate.started, "an estimate", RUNNING)
@@ -156,9 +154,9 @@ async def test_an_envelope_from_priors_says_so(
 
 
 async def test_the_grid_reaches_beyond_region_and_plan(
-    live: Any, make_section: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+    live: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    section = make_section()
+    section = asset_section()
     monkeypatch.undo()
     speed_rpm, load_n = grid(section, [(4200.0, 2650.0)])
     assert (speed_rpm.size, load_n.size) == (20, 15)
@@ -193,6 +191,28 @@ async def test_advice_document_has_the_shape_it_promises(live: Any) -> None:
     assert len(shown.stop_rule.rules) >= 4
     inside = live.advice(4200.0, 3000.0, 3600.0)
     assert inside.target.inside_low_risk
+
+
+async def test_the_next_step_is_said_in_plain_words_until_the_asked_width_is_reached(
+    live: Any,
+) -> None:
+    found = live.advice(6200.0, 5500.0, 3600.0)
+    now_k = found.target.sensors[found.target.sensor].half_width_k
+    step = found.steps[found.next_step.rank - 1]
+    assert step.duration_s <= 1200.0
+    first, after_k = step.levels[0], step.cautious_half_width_k[found.target.sensor]
+    assert found.next_step.text.startswith(
+        f"{first.duration_s / 60:.0f} min at {first.load_n:.0f} N, {first.speed_rpm:.0f} rpm"
+    )
+    said = f"± {now_k:.1f} K at 5500 N, 6200 rpm becomes ± {after_k:.1f} K."
+    assert said in found.next_step.text
+    near = live.advice(6200.0, 5500.0, 3600.0, 0.01)
+    assert near.next_step.asked_half_width_k == 0.01
+    assert "asked are ± 0.01 K." in near.next_step.text
+    enough = live.advice(6200.0, 5500.0, 3600.0, now_k + 0.1)
+    assert enough.next_step.reached
+    assert enough.next_step.rank is None
+    assert "is reached, nothing more is needed." in enough.next_step.text
 
 
 def maps_of(steady: list[list[float]], likely: list[list[float]]) -> EnvelopeMaps:
@@ -234,7 +254,7 @@ def maps_of(steady: list[list[float]], likely: list[list[float]]) -> EnvelopeMap
 def test_the_envelope_says_where_the_present_point_is_measured_hotter_than_its_map() -> None:
     """The ring was at 77 °C over a warning of 70, and the map rated the point 61 °C."""
     maps = maps_of(steady=[[40.0, 50.0], [45.0, 61.0]], likely=[[0.0, 0.0]] * 2)
-    point = profiles.OperatingPoint(1900.0, 2650.0, 23.0)
+    point = profiles.Point(1900.0, 2650.0, 23.0)
     shown = with_present(maps, point, {RING: 77.1})
     assert shown.present.measured_c == {RING: 77.1}
     assert shown.labels == [
@@ -248,7 +268,7 @@ def test_the_envelope_says_where_the_present_point_is_measured_hotter_than_its_m
 def test_the_envelope_rates_the_present_point_no_lower_than_what_is_measured_there() -> None:
     """36 % over the warning, said the map, and the ring was over it."""
     maps = maps_of(steady=[[40.0, 50.0], [45.0, 61.0]], likely=[[0.0, 0.0], [0.05, 0.36]])
-    point = profiles.OperatingPoint(1900.0, 2650.0, 23.0)
+    point = profiles.Point(1900.0, 2650.0, 23.0)
 
     def rated(reading_c: float | None) -> dict[str, Any]:
         return with_present(maps, point, {RING: reading_c}).present.over_limit[RING]

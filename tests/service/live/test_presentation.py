@@ -2,8 +2,7 @@
 
 import json
 import math
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -16,29 +15,31 @@ from service.domain.channels import unit_of
 from service.live import presentation
 from service.live.estimate import LiveEstimate
 from service.live.presentation import ForecastSummary, LimitCrossing, LimitCrossings
-from service.live.profiles import Step, operating_profile
-from service.site.asset_section import Limits
+from service.live.profiles import StepAhead, operating_profile
+from service.site.asset_section import LimitsSection
 from twin_core.forecasting import Forecast, forecast
 from twin_core.machine_state import MachineState
+
+from .conftest import make_version
 
 BEGAN = "2026-11-21T08:00:00.000Z"
 START_US = 1_763_700_000_000_000
 LIMITS = {
-    "t_inner_ring_c": Limits(warning=70, alarm=95),
-    "t_outer_ring_c": Limits(warning=65, alarm=80),
-    "t_node_7_c": Limits(warning=60, alarm=80),
+    "t_inner_ring_c": LimitsSection(warning=70, alarm=95),
+    "t_outer_ring_c": LimitsSection(warning=65, alarm=80),
+    "t_node_7_c": LimitsSection(warning=60, alarm=80),
 }
 
 
 @pytest.fixture
-def estimate(make_version: Callable[..., Any]) -> LiveEstimate:
+def estimate() -> LiveEstimate:
     return LiveEstimate(make_version())
 
 
 @pytest.fixture
-def hot_forecast(make_version: Callable[..., Any]) -> Forecast:
+def hot_forecast() -> Forecast:
     active = make_version()
-    profile = operating_profile([Step(7200.0, 9000.0, 12_000.0, 23.0)], 600.0)
+    profile = operating_profile([StepAhead(7200.0, 9000.0, 12_000.0, 23.0)], 600.0)
     state = MachineState(np.full(13, 23.0), 0.01 * np.eye(13), 0.0, 23.0)
     return forecast(active.model, active.posterior, state, profile, members=50)
 

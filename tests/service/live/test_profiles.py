@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from adapters.samples import PlannedProfile, PlanStep
-from service.live.profiles import Step, held, operating_profile, planned
-from twin_core.profiles import OperatingPoint
+from service.live.profiles import StepAhead, held, operating_profile, planned
+from twin_core.profiles import Point
 
 NOW_US = 1_763_700_000_000_000
-PRESENT = OperatingPoint(2391.0, 2702.0, 23.5)
+PRESENT = Point(2391.0, 2702.0, 23.5)
 STEPS = (
     PlanStep(600.0, 2400.0, 2650.0),
     PlanStep(1800.0, 4200.0, 2650.0),
@@ -20,12 +20,12 @@ def plan(read_before_s: float = 0.0, steps: tuple[PlanStep, ...] = STEPS) -> Pla
     return PlannedProfile("bench-1", NOW_US - round(read_before_s * 1e6), steps)
 
 
-def durations(steps: list[Step]) -> list[float]:
+def durations(steps: list[StepAhead]) -> list[float]:
     return [step.duration_s for step in steps]
 
 
 def test_the_present_point_is_held() -> None:
-    assert held(PRESENT, 7200.0) == [Step(7200.0, 2391.0, 2702.0, 23.5)]
+    assert held(PRESENT, 7200.0) == [StepAhead(7200.0, 2391.0, 2702.0, 23.5)]
 
 
 def test_a_plan_is_followed_to_its_end() -> None:
@@ -46,7 +46,7 @@ def test_time_since_the_plan_was_read_is_over() -> None:
 
 
 def test_a_step_that_has_ended_meanwhile_is_left_out() -> None:
-    present = OperatingPoint(4195.0, 2640.0, 23.5)
+    present = Point(4195.0, 2640.0, 23.5)
     steps = planned(plan(700.0), NOW_US, present, 14_400.0)
     assert durations(steps) == [1700.0, 900.0]
     assert (steps[0].speed_rpm, steps[0].load_n) == (4195.0, 2640.0), "now this one is under way"
@@ -72,12 +72,12 @@ def test_a_plan_that_is_over_says_nothing() -> None:
 def test_the_step_under_way_follows_what_is_measured_near_its_set_points(
     measured: tuple[float, float], expected: tuple[float, float]
 ) -> None:
-    (step, *_) = planned(plan(), NOW_US, OperatingPoint(*measured, 23.5), 14_400.0)
+    (step, *_) = planned(plan(), NOW_US, Point(*measured, 23.5), 14_400.0)
     assert (step.speed_rpm, step.load_n) == expected
 
 
 def test_rows_come_at_their_spacing_and_at_every_change() -> None:
-    steps = [Step(90.0, 1500.0, 2650.0, 22.0), Step(75.0, 2400.0, 3300.0, 24.0)]
+    steps = [StepAhead(90.0, 1500.0, 2650.0, 22.0), StepAhead(75.0, 2400.0, 3300.0, 24.0)]
     profile = operating_profile(steps, 60.0)
     assert profile.time_s.tolist() == [0.0, 60.0, 90.0, 120.0, 165.0]
     # A row's operating point holds from its time on: the change is at 90 s.
@@ -88,13 +88,13 @@ def test_rows_come_at_their_spacing_and_at_every_change() -> None:
 
 def test_a_change_on_a_row_makes_no_second_row() -> None:
     # Durations as a controller counts them down, not multiples of a minute to the last bit.
-    steps = [Step(59.9999, 1500.0, 2650.0, 22.0), Step(60.0002, 2400.0, 2650.0, 22.0)]
+    steps = [StepAhead(59.9999, 1500.0, 2650.0, 22.0), StepAhead(60.0002, 2400.0, 2650.0, 22.0)]
     profile = operating_profile(steps, 60.0)
     assert profile.time_s.tolist() == [0.0, 60.0, 120.0]
     assert profile.speed_rpm.tolist() == [1500.0, 2400.0, 2400.0]
 
 
 def test_the_last_moment_of_a_plan_is_a_profile_too() -> None:
-    profile = operating_profile([Step(0.0003, 1500.0, 2650.0, 22.0)], 60.0)
+    profile = operating_profile([StepAhead(0.0003, 1500.0, 2650.0, 22.0)], 60.0)
     assert profile.time_s.tolist() == [0.0]
     assert np.isfinite(profile.speed_rpm).all()

@@ -74,7 +74,7 @@ def test_residuals_survive_a_restart_and_begin_anew_with_another_model() -> None
     taken_up.restore(kept)
     assert taken_up.to_dict() == kept
     assert taken_up.charts[RING].cusum.value == residuals.charts[RING].cusum.value > 0.0
-    taken_up.begin_anew()
+    taken_up.restart()
     assert taken_up.to_dict() == {RING: {"high": 0.0, "low": 0.0, "usual": []}}
     broken = Residuals(9.0)
     broken.restore({RING: {"high": "x"}, "t_outer_ring_c": None, "a": {"high": 1, "low": 2}})

@@ -8,12 +8,14 @@ from types import SimpleNamespace, TracebackType
 from typing import Any, Self
 
 import pytest
-from inside import serve
 
 from adapters.protocol import SourceHealth
 from adapters.samples import Batch
+from service.app.one_process import serve_in_one_process
 from service.site.settings import ServiceSection, Settings
 from service.site.wiring import wire
+
+pytestmark = pytest.mark.wires
 
 
 class AbsentMinded:
@@ -59,7 +61,9 @@ async def test_a_driver_that_misses_its_cancellation_does_not_hold_up_the_end(
         "service.cell.start.wire", lambda settings: replace(wire(settings), sources=[source])
     )
     stop, ready = asyncio.Event(), asyncio.Event()
-    running = asyncio.create_task(serve(settings, announce=lambda _: ready.set(), stop=stop))
+    running = asyncio.create_task(
+        serve_in_one_process(settings, announce=lambda _: ready.set(), stop=stop)
+    )
     await asyncio.wait_for(driver.begun.wait(), 30)
     await asyncio.wait_for(ready.wait(), 60)
     stop.set()

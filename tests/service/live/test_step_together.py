@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from service.live.estimate import ActiveModel, LiveEstimate, step_together
+from service.live.estimate import LiveEstimate, RunningModel, step_together
 from twin_core.bearings import bearing
 from twin_core.identification.posterior import prior_posterior
 from twin_core.models import build_model
@@ -28,13 +28,13 @@ WARM = {
 }
 
 
-def active(machine: int, version: int = 1) -> ActiveModel:
+def active(machine: int, version: int = 1) -> RunningModel:
     """A version with parameters of its own, of a bearing of two."""
     model = build_model("default", bearing=bearing("6311" if machine % 2 else "6016"))
     prior = prior_posterior(model)
     z = prior.z + np.random.default_rng(100 * version + machine).normal(0.0, 0.2, prior.z.size)
     document = prior.to_dict() | {"z": z.tolist()}
-    return ActiveModel(version, model, type(prior).from_dict(document), None)
+    return RunningModel(version, model, type(prior).from_dict(document), None)
 
 
 def begun(machines: int) -> list[LiveEstimate]:

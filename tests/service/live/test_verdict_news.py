@@ -32,7 +32,7 @@ async def words(subscription: Any) -> tuple[str, list[str]]:
 @pytest.fixture
 def only_news(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing is told again because it is old."""
-    monkeypatch.setattr("service.live.asset.VERDICT_EVERY_WALL_S", 1e9)
+    monkeypatch.setattr("service.live.publishing.VERDICT_EVERY_WALL_S", 1e9)
 
 
 @pytest.mark.usefixtures("only_news")
@@ -70,7 +70,7 @@ async def test_a_machine_in_which_nothing_changes_costs_no_verdicts(
     make_live: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     live = make_live(max_age_s=1800.0)
-    monkeypatch.setattr("service.live.asset.FORECAST_EVERY_S", 1e6)
+    monkeypatch.setattr("service.live.forecast_loop.FORECAST_EVERY_S", 1e6)
     made = 0
     verdict = live.documents.verdict
 

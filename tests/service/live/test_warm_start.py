@@ -13,16 +13,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from own_networks import MOTOR
+from site_files import COLUMNS, asset_section
 
 from service.clock import ProcessClock
-from service.live.envelope import EnvelopeKeeper
-from service.live.estimate import ActiveModel, LiveEstimate
+from service.live.envelope_keeper import EnvelopeKeeper
+from service.live.estimate import LiveEstimate, RunningModel
 from service.live.forecasting import Forecasting
 from service.live.readings import Readings
 from service.site.asset_section import AssetSection
 from service.site.machines.machine import Machine
 from service.site.machines.networks import read_network
-from twin_core.identification import identify
+from twin_core.identification import FitSettings, identify
 from twin_core.identification.data import IdentificationData, IdentificationWindow
 from twin_core.machine_state import FOLLOWED_S, course_known
 from twin_core.models import ThermalModel
@@ -30,38 +32,6 @@ from twin_core.operating_points import usual_levels
 from twin_core.simulation import OperatingProfile, simulate
 from twin_core.windows import MinuteData
 
-MOTOR = """
-[parameters]
-film = { unit = "W/K", centre = 8.0, spread = 0.3 }
-joint = { unit = "K/W", centre = 0.06, spread = 0.4 }
-speed = { unit = "W/rpm", centre = 0.16, spread = 0.5 }
-torque = { unit = "W/N", centre = 0.16, spread = 0.5 }
-[nodes]
-t_winding_c = { capacity_j_k = 3000 }
-t_body_c = { capacity_j_k = 40000 }
-[[edges]]
-between = ["t_winding_c", "t_body_c"]
-kind = "constant"
-resistance_k_w = "joint"
-[[edges]]
-between = ["t_body_c", "ambient"]
-kind = "film"
-conductance_w_k = "film"
-exponent = 0.1
-[source]
-kind = "linear"
-per_rpm_w = "speed"
-per_n_w = "torque"
-shares = [{ node = "t_winding_c", of_rest = 0.8 }, { node = "t_body_c" }]
-[sensors]
-t_winding_c = "t_winding_c"
-[errors]
-white_k = 0.5
-slow_k = 0.6
-[reference]
-speed_rpm = 2500
-load_n = 1500
-"""
 TRUE = (1.15, 0.85, 1.2, 0.9)
 AMBIENT_C = 22.0
 START_US = 1_763_700_000_000_000
@@ -75,17 +45,12 @@ LABEL = "initial state of t_body_c known to ±"
 def motor_section(folder: Path) -> AssetSection:
     file = folder / "motor.toml"
     file.write_text(MOTOR)
-    return AssetSection.model_validate(
-        {
-            "id": "bench-1",
-            "network": read_network(file).model_dump(mode="json"),
-            "low_risk": {"speed_rpm_max": 6000, "load_n_max": 8000},
-            "limits": {"t_winding_c": {"warning": 150, "alarm": 170}},
-            "channels": {
-                name: {"source": "push"}
-                for name in ("speed_rpm", "load_n", "ambient_c", "t_winding_c")
-            },
-        }
+    return asset_section(
+        channels=(*COLUMNS, "t_winding_c"),
+        bearing=None,
+        network=read_network(file).model_dump(mode="json"),
+        low_risk={"speed_rpm_max": 6000, "load_n_max": 8000},
+        limits={"t_winding_c": {"warning": 150, "alarm": 170}},
     )
 
 
@@ -99,7 +64,7 @@ def run_of(
 
 
 @pytest.fixture(scope="module")
-def motor(tmp_path_factory: pytest.TempPathFactory) -> ActiveModel:
+def motor(tmp_path_factory: pytest.TempPathFactory) -> RunningModel:
     """Identified from two hours of driving, minute by minute, the body without a sensor."""
     file = tmp_path_factory.mktemp("motor") / "motor.toml"
     file.write_text(MOTOR)
@@ -119,13 +84,13 @@ def motor(tmp_path_factory: pytest.TempPathFactory) -> ActiveModel:
         np.ones(winding_c.size, dtype=bool),
     )
     data = IdentificationData((IdentificationWindow(minutes, at_rest=True),))
-    found = identify(model, data, method="refine", samples=0)
+    found = identify(model, data, FitSettings(method="refine", samples=0))
     assert found.posterior.trained.duty
-    return ActiveModel(1, model, found.posterior, START_US)
+    return RunningModel(1, model, found.posterior, START_US)
 
 
 def course(
-    motor: ActiveModel,
+    motor: RunningModel,
     moment: tuple[float, float],
     body_c: float,
     then: tuple[float, float] = USUAL,
@@ -152,7 +117,7 @@ def means(speed: np.ndarray, load: np.ndarray, truth: np.ndarray, second: int) -
 @pytest.mark.parametrize("body_c", [75.0, 90.0, 105.0])
 @pytest.mark.parametrize("moment", MOMENTS)
 async def test_what_comes_lies_in_the_band_of_a_forecast_seconds_after_the_start(
-    moment: str, body_c: float, motor: ActiveModel, tmp_path: Path, executor: ThreadPoolExecutor
+    moment: str, body_c: float, motor: RunningModel, tmp_path: Path, executor: ThreadPoolExecutor
 ) -> None:
     """The twin starts ten seconds before the moment ends."""
     speed, load, truth = course(motor, MOMENTS[moment], body_c)
@@ -185,11 +150,11 @@ async def test_what_comes_lies_in_the_band_of_a_forecast_seconds_after_the_start
 
 
 def test_no_limit_is_reached_before_the_earliest_time_of_the_envelope(
-    motor: ActiveModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    motor: RunningModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its members are on no course that was seen for seconds only, either."""
-    monkeypatch.setattr("service.live.envelope.SPEEDS", 4)
-    monkeypatch.setattr("service.live.envelope.LOADS", 4)
+    monkeypatch.setattr("service.live.envelope_keeper.SPEEDS", 4)
+    monkeypatch.setattr("service.live.envelope_keeper.LOADS", 4)
     speed, load, truth = course(motor, MOMENTS["a light moment"], 90.0)
     estimate = LiveEstimate(motor)
     now = BEFORE_S + 10
@@ -218,7 +183,7 @@ def test_no_limit_is_reached_before_the_earliest_time_of_the_envelope(
 
 @pytest.mark.parametrize("body_c", [75.0, 90.0, 105.0])
 def test_a_motor_that_has_just_stopped_is_not_taken_for_one_that_stands(
-    body_c: float, motor: ActiveModel
+    body_c: float, motor: RunningModel
 ) -> None:
     """Its winding is still as warm above the body as the heavier third of its duty makes it."""
     heavier = usual_levels(motor.posterior.trained.points)[-1]
@@ -231,7 +196,7 @@ def test_a_motor_that_has_just_stopped_is_not_taken_for_one_that_stands(
 
 
 async def test_the_label_stays_over_a_restart_and_goes_when_the_filter_has_learned(
-    motor: ActiveModel, tmp_path: Path, make_live: Callable[..., Any]
+    motor: RunningModel, tmp_path: Path, make_live: Callable[..., Any]
 ) -> None:
     speed, load, truth = course(motor, MOMENTS["full load"], 90.0)
 
@@ -270,7 +235,7 @@ async def test_the_label_stays_over_a_restart_and_goes_when_the_filter_has_learn
     assert abs(mean_c - truth[now, 1]) < 1.96 * std_k
 
 
-def test_only_what_was_seen_counts_as_followed(motor: ActiveModel) -> None:
+def test_only_what_was_seen_counts_as_followed(motor: RunningModel) -> None:
     """Neither time without temperatures nor a stop of the service teaches anything."""
     speed, load, truth = course(motor, USUAL, 90.0)
     estimate = LiveEstimate(motor)
@@ -293,14 +258,14 @@ def test_only_what_was_seen_counts_as_followed(motor: ActiveModel) -> None:
     assert again.followed_s == 0.0, "a new start"
 
 
-def test_a_cold_machine_at_rest_is_known(motor: ActiveModel) -> None:
+def test_a_cold_machine_at_rest_is_known(motor: RunningModel) -> None:
     estimate = LiveEstimate(motor)
     cold = {"speed_rpm": 0.0, "load_n": 0.0, "ambient_c": AMBIENT_C, "t_winding_c": AMBIENT_C}
     estimate.step(START_US, cold)
     assert course_known(estimate.followed_s) == 1.0
 
 
-def test_an_estimate_kept_by_an_older_version_counts_from_now(motor: ActiveModel) -> None:
+def test_an_estimate_kept_by_an_older_version_counts_from_now(motor: RunningModel) -> None:
     speed, load, truth = course(motor, USUAL, 90.0)
     estimate = LiveEstimate(motor)
     estimate.step(START_US, means(speed, load, truth, 60))

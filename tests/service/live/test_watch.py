@@ -12,13 +12,16 @@ from alarm_bench import HandClock
 from adapters.samples import Quality, Sample
 from service.alarms import AlarmBook, AlarmCondition
 from service.domain.alarm_guidance import AlarmOverride
-from service.live.estimate import ActiveModel, LiveEstimate
+from service.live.estimate import LiveEstimate, RunningModel
 from service.live.readings import Readings
+from service.live.reference import advance_together
 from service.live.watch import AlarmWatch
 from service.site.alarm_overlay import AlarmedAsset, rows_of
 from service.site.asset_section import AssetSection
 from service.site.wiring import ChannelFacts
 from service.store import Outbox, Store
+
+from .conftest import asset_section, make_version
 
 STEP_S, LONG_STEP_S = 5.0, 30.0
 WARM = {
@@ -34,7 +37,7 @@ class Machine:
     """A machine that a test drives in process time; no event loop, no wall clock."""
 
     def __init__(
-        self, folder: Path, section: AssetSection, active: ActiveModel, clock: HandClock
+        self, folder: Path, section: AssetSection, active: RunningModel, clock: HandClock
     ) -> None:
         self.clock = clock
         self.store = Store.open("", folder)
@@ -63,7 +66,8 @@ class Machine:
             )
             means = self.readings.take_means()
             self.estimate.step(now_us, means)
-            self.watch.step(now_us, means, self.estimate.innovations, trusted)
+            advance_together([self.watch.follow(now_us)])
+            self.watch.step(now_us, means, trusted)
 
     def states(self) -> dict[tuple[str, str], str]:
         return {
@@ -82,9 +86,7 @@ class Machine:
 
 
 @pytest.fixture
-def make_machine(
-    tmp_path: Path, make_section: Callable[..., AssetSection], make_version: Callable[..., Any]
-) -> Iterator[Callable[..., Machine]]:
+def make_machine(tmp_path: Path) -> Iterator[Callable[..., Machine]]:
     made: list[Machine] = []
     clock = HandClock()
 
@@ -92,7 +94,7 @@ def make_machine(
         active = replace(make_version(), identified_at_us=clock.us if identified else None)
         for machine in made:
             machine.close()
-        machine = Machine(tmp_path, make_section(**settings), active, clock)
+        machine = Machine(tmp_path, asset_section(**settings), active, clock)
         made.append(machine)
         return machine
 
@@ -233,7 +235,7 @@ def test_a_machine_hotter_than_its_model_is_told_inside_the_low_risk_region(
     model.run(WARM, 3 * 3600, step_s=LONG_STEP_S)
     expected = {
         name: float(model.estimate.active.model.sensor_row(name) @ temperatures)
-        for temperatures in [model.watch._reference._temperatures_c]
+        for temperatures in [model.watch._comparison._reference._temperatures_c]
         for name in ("t_inner_ring_c", "t_outer_ring_c")
     }
     settled = WARM | expected
@@ -326,14 +328,14 @@ LIMIT = ("measured limit", "t_inner_ring_c warning")
 
 
 def test_changed_settings_count_from_the_next_sample_and_keep_the_alarm(
-    make_machine: Callable[..., Machine], make_section: Callable[..., AssetSection]
+    make_machine: Callable[..., Machine],
 ) -> None:
     machine = make_machine(alarms={"rate_of_rise": {"enabled": False}})
     hot = WARM | {"t_inner_ring_c": 75.0}
     machine.run(hot, 60)
     (before,) = machine.book.active()
     assert (before.limit_value, before.priority) == (70.0, 2)
-    lower = make_section(limits={"t_inner_ring_c": {"warning": 60, "alarm": 65}})
+    lower = asset_section(limits={"t_inner_ring_c": {"warning": 60, "alarm": 65}})
     name = ("measured limit", "t_inner_ring_c", "warning")
     machine.watch.change(lower, {name: AlarmOverride(priority=3, on_delay_s=0.0)})
     machine.run(hot, 15)

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+from site_files import COLUMNS, asset_text
 
 from service.site.machines.machine import Machine
 from service.site.machines.networks import read_network
@@ -35,17 +36,9 @@ speed_rpm = 2000
 load_n = 3000
 """
 STEPS = ((800.0, 1500.0), (1600.0, 1500.0), (1600.0, 5000.0), (2400.0, 2500.0))
-CONFIGURATION = """
-[[assets]]
-id = "block-1"
-network = "block.toml"
-low_risk = { speed_rpm_max = 3000, load_n_max = 6000 }
-[assets.channels]
-t_block_c = { source = "push" }
-speed_rpm = { source = "push" }
-load_n = { source = "push" }
-ambient_c = { source = "push" }
-"""
+CONFIGURATION = asset_text(
+    "block-1", ("t_block_c", *COLUMNS), machine='network = "block.toml"', low_risk=(3000, 6000)
+)
 
 
 def recorded(

@@ -7,16 +7,16 @@ from pathlib import Path
 
 import numpy as np
 
-from adapters.virtual_bench.scenarios import Step
+from adapters.virtual_bench.scenarios import BenchPhase
 
 HEADER = ("time_s", "speed_rpm", "load_n", "ambient_c", "t_inner_ring_c", "t_outer_ring_c")
 LOW_S = 3 * 60 + 3 * 40 * 60
 STEPS = (
-    Step("at rest", 180.0, 0.0, 2650.0, "low"),
-    Step("slow", 2400.0, 1500.0, 2650.0, "low"),
-    Step("faster", 2400.0, 2400.0, 2650.0, "low"),
-    Step("fast", 2400.0, 4200.0, 2650.0, "low"),
-    Step("fastest", 2400.0, 5600.0, 2650.0, "high"),
+    BenchPhase("at rest", 180.0, 0.0, 2650.0, "low"),
+    BenchPhase("slow", 2400.0, 1500.0, 2650.0, "low"),
+    BenchPhase("faster", 2400.0, 2400.0, 2650.0, "low"),
+    BenchPhase("fast", 2400.0, 4200.0, 2650.0, "low"),
+    BenchPhase("fastest", 2400.0, 5600.0, 2650.0, "high"),
 )
 
 

@@ -35,6 +35,8 @@ from .fmus import (
     signals,
 )
 
+pytestmark = pytest.mark.wires
+
 START_C = 31.0
 OPERATION = ("speed_rpm", "load_n", "ambient_c")
 OWN = {"default": (), "paper": (), "drive": ("coolant_c", "current_a", "power_w")}
@@ -107,6 +109,20 @@ def test_the_standard_finds_no_fault_and_names_are_those_of_the_product(
     names = case.identified.model.parameters.names
     assert [float(starts[f"parameter.{name}"]) for name in names] == list(case.identified.values)
     assert float(starts["initial_revolutions"]) == 120_000.0
+    # What makes sense of a parameter, and what an importer may rely on.
+    for one, low, high in zip(
+        names,
+        case.identified.model.parameters.lower,
+        case.identified.model.parameters.upper,
+        strict=True,
+    ):
+        variable = next(v for v in description.modelVariables if v.name == f"parameter.{one}")
+        assert (float(variable.min), float(variable.max)) == (low, high)
+        assert low <= float(variable.start) <= high
+    assert [one.name for one in description.logCategories] == ["logStatusError"]
+    if fmi == 2:
+        assert description.coSimulation.canNotUseMemoryManagementFunctions
+        assert description.modelExchange.canNotUseMemoryManagementFunctions
     # An importer of another platform finds every file that it needs.
     with zipfile.ZipFile(case.fmus[fmi]) as archive:
         inside = set(archive.namelist())
@@ -255,6 +271,39 @@ def test_a_machine_that_runs_away_is_an_error(
     with pytest.raises(FMICallException):
         case.run(2, rows=rows, fmi_type="CoSimulation")
     assert "run away" in capfd.readouterr().out
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize("case", ["default"], indirect=True)
+@pytest.mark.parametrize("factor", [1e6, 1e-6])
+def test_absurd_parameters_are_refused_after_a_bounded_number_of_steps(
+    case: Case, fmi: int, factor: float, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    slave, reference = unpacked(case.fmus[fmi], tmp_path, fmi)
+    begin(slave, fmi)
+    put = slave.setReal if fmi == 2 else slave.setFloat64
+    get = slave.getReal if fmi == 2 else slave.getFloat64
+    put([reference["speed_rpm"], reference["load_n"]], [6000.0, 4000.0])
+    refused = 0
+    for name in case.identified.model.parameters.names:
+        one = reference[f"parameter.{name}"]
+        (before,) = get([one])
+        kept = slave.getFMUState()
+        put([one], [before * factor])
+        began_s = time.process_time()
+        try:
+            slave.doStep(0.0, 600.0)
+        except FMICallException:
+            refused += 1
+            said = capfd.readouterr().out
+            expected = "too fast to be followed", "run away", "parameters out of range"
+            assert any(one in said for one in expected), (name, said)
+        assert time.process_time() - began_s < 5.0, f"{name} is crawled through"
+        slave.setFMUState(kept)
+        slave.freeFMUState(kept)
+    assert refused > 0
+    slave.doStep(0.0, 600.0)
+    slave.freeInstance()
 
 
 def test_the_commands_agree_and_equal_models_give_equal_files(

@@ -13,6 +13,8 @@ from service.offline.fmu.library import compile_library
 from twin_core.network import COEFFICIENT_COUNT, LOSSES, EdgeKind, FrictionKind
 from twin_core.simulation import laws
 
+pytestmark = pytest.mark.wires
+
 # All but what the compilers may do: hidden symbols are shown, to be called here.
 _OPTIONS = ("-std=c99", "-O2", "-ffp-contract=off", "-shared", "-fPIC")
 Numbers = ctypes.POINTER(ctypes.c_double)

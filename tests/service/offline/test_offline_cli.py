@@ -20,6 +20,8 @@ from twin_core.simulation import OperatingProfile, simulate
 
 from .files import HEADER, LOW_S, Run, read, steps_file, write
 
+pytestmark = pytest.mark.wires
+
 Command = Callable[..., Any]
 
 QUICK = ("--method", "refine")

@@ -117,6 +117,7 @@ def bearing_twin(folder: Path, *arguments: str) -> "subprocess.CompletedProcess[
     )  # fmt: skip
 
 
+@pytest.mark.wires
 def test_learned_at_low_current_it_forecasts_a_high_one(folder: Path) -> None:
     noise = np.random.default_rng(9)
     learned = run(*duty(2400, 20.0, 50.0, 1))

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from site_files import COLUMNS, asset_text
 
 from service.site.machines.machine import Machine
 from service.site.machines.networks import read_network
@@ -16,23 +17,12 @@ from twin_core.simulation import OperatingProfile, simulate
 from .files import Run, write
 
 GEARBOX = Path(__file__).parents[3] / "deploy" / "networks" / "gearbox.toml"
-CONFIGURATION = """
-[bearings."spindle"]
-bore_mm = 55
-outer_mm = 120
-width_mm = 29
-
-[[assets]]
-id = "gear-1"
-network = "gearbox.toml"
-low_risk = { speed_rpm_max = 2000, load_n_max = 4000 }
-[assets.channels]
-speed_rpm = { source = "push" }
-load_n = { source = "push" }
-ambient_c = { source = "push" }
-t_bearing_c = { source = "push" }
-t_wall_c = { source = "push" }
-"""
+CONFIGURATION = '[bearings."spindle"]\nbore_mm = 55\nouter_mm = 120\nwidth_mm = 29\n' + asset_text(
+    "gear-1",
+    (*COLUMNS, "t_bearing_c", "t_wall_c"),
+    machine='network = "gearbox.toml"',
+    low_risk=(2000, 4000),
+)
 TRUTH = {"friction": 1.5, "mesh": 0.7, "seat": 1.3, "splash": 0.6, "film": 1.15, "to_bearing": 0.9}
 HEADER = ("time_s", "speed_rpm", "load_n", "ambient_c", "t_bearing_c", "t_wall_c")
 STEPS = ((800.0, 1500.0), (1500.0, 1500.0), (1500.0, 3500.0), (2200.0, 2500.0))

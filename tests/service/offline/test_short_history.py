@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from own_networks import MOTOR
+from site_files import COLUMNS, asset_text
 
 from service.site.machines.machine import Machine
 from service.site.machines.networks import read_network
@@ -17,49 +19,9 @@ from twin_core.simulation import OperatingProfile, simulate
 
 from .files import HEADER, LOW_S, Run, read, write
 
-MOTOR = """
-[parameters]
-film = { unit = "W/K", centre = 8.0, spread = 0.3 }
-joint = { unit = "K/W", centre = 0.06, spread = 0.4 }
-speed = { unit = "W/rpm", centre = 0.16, spread = 0.5 }
-torque = { unit = "W/N", centre = 0.16, spread = 0.5 }
-[nodes]
-t_winding_c = { capacity_j_k = 3000 }
-t_body_c = { capacity_j_k = 40000 }
-[[edges]]
-between = ["t_winding_c", "t_body_c"]
-kind = "constant"
-resistance_k_w = "joint"
-[[edges]]
-between = ["t_body_c", "ambient"]
-kind = "film"
-conductance_w_k = "film"
-exponent = 0.1
-[source]
-kind = "linear"
-per_rpm_w = "speed"
-per_n_w = "torque"
-shares = [{ node = "t_winding_c", of_rest = 0.8 }, { node = "t_body_c" }]
-[sensors]
-t_winding_c = "t_winding_c"
-[errors]
-white_k = 0.5
-slow_k = 0.6
-[reference]
-speed_rpm = 2500
-load_n = 1500
-"""
-CONFIGURATION = """
-[[assets]]
-id = "motor-1"
-network = "motor.toml"
-low_risk = { speed_rpm_max = 6000, load_n_max = 8000 }
-[assets.channels]
-t_winding_c = { source = "push" }
-speed_rpm = { source = "push" }
-load_n = { source = "push" }
-ambient_c = { source = "push" }
-"""
+CONFIGURATION = asset_text(
+    "motor-1", ("t_winding_c", *COLUMNS), machine='network = "motor.toml"', low_risk=(6000, 8000)
+)
 MOTOR_HEADER = ("time_s", "speed_rpm", "load_n", "ambient_c", "t_winding_c", "t_body_c")
 STEP_S, NOW_S, AHEAD_S = 2, 3 * 3600, 3600
 HISTORIES_S = (10, 60, 600, 3600)

@@ -99,7 +99,7 @@ if RECORDED.is_dir():
         assert found.rms_k < 1.5
         for name in ("run2_thr100", "run5_thr11"):
             scores = judged(found.model, read_recording(RECORDED / f"{name}.csv", section))
-            # What one heating run cannot tell is in docs/field-csv.md.
+            # What one heating run cannot tell is in docs/start/field-csv.md.
             assert scores["t_winding_c"][0] < 11.0
             assert scores["t_winding_c"][1] > 0.3
             assert scores["t_body_c"][0] < 1.5

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from adapters.virtual_bench import BenchParameters, Scenario, measure, scenario_profile, simulate
-from adapters.virtual_bench.scenarios import Step
+from adapters.virtual_bench.scenarios import BenchPhase
 from service.offline.model_file import IdentifiedModel
 from twin_core.forecasting.labels import LOAD_LAW, SPEED_LAW
 
@@ -23,12 +23,12 @@ def ride() -> Run:
     """Three hours and a half of duty that changes every two minutes, then a heavy stage."""
     rng = np.random.default_rng(2)
     speed, load = 2500.0, 2000.0
-    steps = [Step("at rest", REST_S, 0.0, load, "low")]
+    steps = [BenchPhase("at rest", REST_S, 0.0, load, "low")]
     for _ in range(STEPS):
         speed = float(np.clip(speed * np.exp(0.35 * rng.standard_normal()), 1000.0, 4200.0))
         load = float(np.clip(load * np.exp(0.3 * rng.standard_normal()), 1000.0, 3300.0))
-        steps.append(Step("ride", STEP_S, speed, load, "low"))
-    steps.append(Step("heavy", 3600.0, 4200.0, 4600.0, "high"))
+        steps.append(BenchPhase("ride", STEP_S, speed, load, "low"))
+    steps.append(BenchPhase("heavy", 3600.0, 4200.0, 4600.0, "high"))
     bench = BenchParameters.for_bearing("6311")
     profile = scenario_profile(Scenario("ride", "ride", "6311", tuple(steps)), bench, seed=2)
     truth = simulate(profile, bench)
@@ -74,9 +74,9 @@ def test_a_ride_at_one_load_still_leaves_the_load_law_to_the_prior(
 ) -> None:
     """Speeds vary, the load is what a sensor of a constant load shows: the label stays."""
     rng = np.random.default_rng(6)
-    steps = [Step("at rest", REST_S, 0.0, 2000.0, "low")]
+    steps = [BenchPhase("at rest", REST_S, 0.0, 2000.0, "low")]
     steps += [
-        Step("ride", STEP_S, float(speed), 2000.0, "low")
+        BenchPhase("ride", STEP_S, float(speed), 2000.0, "low")
         for speed in rng.uniform(1000.0, 4200.0, 60)
     ]
     bench = BenchParameters.for_bearing("6311")

@@ -14,7 +14,7 @@ from processes import wait_until
 from prometheus_client import CollectorRegistry
 
 from adapters.samples import Quality
-from service.bus.stream import Bus
+from service.bus.stream import LiveMessages
 from service.clock import ProcessClock
 from service.domain.errors import CellUnavailableError
 from service.plant import publishers, rounds
@@ -122,7 +122,7 @@ class Journal:
 
 @asynccontextmanager
 async def publishing(
-    folder: Path, asset: Asset, bus: Bus, host: Host, assets: dict[str, Any] | None = None
+    folder: Path, asset: Asset, bus: LiveMessages, host: Host, assets: dict[str, Any] | None = None
 ) -> AsyncIterator[tuple[Journal, CollectorRegistry]]:
     settings = Settings(publishers={"journal": {"folder": str(folder)}})
     publishers.check_ports(settings)
@@ -140,7 +140,7 @@ async def publishing(
 
 async def test_it_gets_all_tags_then_those_that_change(journal: Path, host: Host) -> None:
     asset = Asset()
-    async with publishing(journal, asset, Bus(ProcessClock()), host) as (told, _):
+    async with publishing(journal, asset, LiveMessages(ProcessClock()), host) as (told, _):
         await told.has(["run"])
         asset.tags |= {"b": tag(3.0), "new": tag(4.0)}
         await told.has(["tags", "bench-1", {"b": tag(3.0), "new": tag(4.0)}])
@@ -157,7 +157,7 @@ async def test_a_round_that_is_lost_is_followed_by_one_with_all_tags(
     journal: Path, host: Host
 ) -> None:
     asset = Asset()
-    async with publishing(journal, asset, Bus(ProcessClock()), host) as (told, registry):
+    async with publishing(journal, asset, LiveMessages(ProcessClock()), host) as (told, registry):
         await told.has(["run"])
         (journal / "lose").touch()
         await told.has(["run"], times=2)
@@ -177,7 +177,7 @@ async def test_a_round_that_is_lost_is_followed_by_one_with_all_tags(
 async def test_an_alarm_that_was_not_taken_comes_again_and_in_order(
     journal: Path, host: Host
 ) -> None:
-    bus = Bus(ProcessClock())
+    bus = LiveMessages(ProcessClock())
     async with publishing(journal, Asset(), bus, host) as (told, _):
         await told.has(["run"])
         (journal / "busy").touch()
@@ -193,7 +193,10 @@ async def test_tags_of_assets_that_come_and_go_are_handed_on_and_withdrawn(
     journal: Path, host: Host
 ) -> None:
     assets: dict[str, Any] = {"bench-1": Asset()}
-    async with publishing(journal, Asset(), Bus(ProcessClock()), host, assets) as (told, _):
+    async with publishing(journal, Asset(), LiveMessages(ProcessClock()), host, assets) as (
+        told,
+        _,
+    ):
         await told.has(["run"])
         assets["bench-2"] = Asset()
         await told.has(["tags", "bench-2", {"a": tag(1.0), "b": tag(2.0)}])
@@ -223,7 +226,10 @@ async def test_what_could_not_be_withdrawn_is_withdrawn_in_the_next_round(
     journal: Path, host: Host
 ) -> None:
     assets: dict[str, Any] = {"bench-1": Asset(), "bench-2": Asset()}
-    async with publishing(journal, Asset(), Bus(ProcessClock()), host, assets) as (told, _):
+    async with publishing(journal, Asset(), LiveMessages(ProcessClock()), host, assets) as (
+        told,
+        _,
+    ):
         await told.has(["run"])
         (journal / "deaf").touch()
         del assets["bench-2"]
@@ -252,7 +258,10 @@ async def test_assets_that_change_while_a_publisher_takes_its_time_are_no_fault(
             raise CellUnavailableError("the cell has not answered yet")
 
     assets |= {"bench-0": Leaving(), "bench-4": Unknown()}
-    async with publishing(journal, Asset(), Bus(ProcessClock()), host, assets) as (told, _):
+    async with publishing(journal, Asset(), LiveMessages(ProcessClock()), host, assets) as (
+        told,
+        _,
+    ):
         await told.has(["tags", "bench-9", {"a": tag(1.0), "b": tag(2.0)}])
         await told.has(["withdraw", "bench-1", ["a", "b"]])
         assets["bench-4"] = Asset()
@@ -274,7 +283,7 @@ async def test_two_looks_at_a_time_withdraw_a_tag_once(host: Host) -> None:
             withdrawn.extend(tags)
 
     assets: dict[str, Any] = {"bench-1": Asset(), "bench-2": Asset()}
-    one = PublisherRounds("slow", Slow(), 1.0, assets, Bus(ProcessClock()), host)  # type: ignore[arg-type]
+    one = PublisherRounds("slow", Slow(), 1.0, assets, LiveMessages(ProcessClock()), host)  # type: ignore[arg-type]
     await one.publish_tags()
     del assets["bench-1"], assets["bench-2"].tags["b"]
     await asyncio.gather(one.publish_tags(), one.publish_tags())

@@ -4,6 +4,7 @@ import itertools
 
 from hypothesis import given
 from hypothesis import strategies as st
+from site_files import asset_table
 
 from service.site.asset_section import AssetSection
 from service.site.partitions import partitions_of
@@ -12,17 +13,10 @@ SOURCES = [f"gateway-{number}" for number in range(6)]
 
 
 def asset(name: str, sources: list[str]) -> AssetSection:
-    channels = dict(
-        zip(("t_outer_ring_c", "speed_rpm", "load_n"), [*sources, "push", "push"], strict=False)
-    )
-    return AssetSection.model_validate(
-        {
-            "id": name,
-            "bearing": "6311",
-            "low_risk": {"speed_rpm_max": 4300, "load_n_max": 3400},
-            "channels": {channel: {"source": source} for channel, source in channels.items()},
-        }
-    )
+    names = ("t_outer_ring_c", "speed_rpm", "load_n")
+    channels = zip(names, [*sources, "push", "push"], strict=False)
+    table = {channel: {"source": source} for channel, source in channels}
+    return AssetSection.model_validate(asset_table(name) | {"channels": table})
 
 
 FLEETS = st.lists(st.lists(st.sampled_from(SOURCES), max_size=3, unique=True), max_size=12).map(

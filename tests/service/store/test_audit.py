@@ -6,7 +6,7 @@ from sqlalchemy import insert, text
 from sqlalchemy.exc import DatabaseError
 
 from service.store import AuditEntry, Store, StoreUnavailableError
-from service.store.tables import AuditRow
+from service.store.access_tables import AuditRow
 
 DAY_US = 86_400_000_000
 

@@ -1,4 +1,4 @@
-"""The commands of the chapter on backups in `docs/deployment.md`, as they stand there."""
+"""The commands of the chapter on backups in `docs/run/store.md`, as they stand there."""
 
 import contextlib
 import re
@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import psycopg
+import pytest
 from postgresql import PostgreSQL
 from sqlalchemy.engine import make_url
 
@@ -18,7 +19,10 @@ from adapters.samples import Sample
 from service.store import Store
 from service.store.opening import FILE_NAME
 
-CHAPTER = (Path(__file__).parents[3] / "docs" / "deployment.md").read_text().split("## Backup")[1]
+pytestmark = pytest.mark.wires
+
+PAGE = Path(__file__).parents[3] / "docs" / "run" / "store.md"
+CHAPTER = PAGE.read_text().split("## Backup")[1]
 BLOCKS = re.findall(r"```sh\n(.*?)```", CHAPTER.split("\n## ")[0], re.DOTALL)
 CHANNELS = 20
 
@@ -48,7 +52,7 @@ def written_to(store: Store) -> Iterator[None]:
 
 
 def holds_whole_batches(store: Store) -> bool:
-    """Tell whether the store holds some batches, the first ones, each whole."""
+    """Return whether the store holds some batches, the first ones, each whole."""
     found = store.samples.read("a", None, 0, 2**62, 10**6)
     last = max(one.time_us for one in found)
     return len(found) == CHANNELS * last and all(one.value == one.time_us for one in found)

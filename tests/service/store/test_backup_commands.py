@@ -112,6 +112,7 @@ def test_a_damaged_store_gives_no_backup(tmp_path: Path) -> None:
     assert not (tmp_path / "backup.db").exists()
 
 
+@pytest.mark.wires
 def test_a_backup_of_postgresql_is_restored(
     postgresql: PostgreSQL, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -146,6 +147,7 @@ def test_a_backup_of_postgresql_is_restored(
 
 
 # ---------------------------------------------------------------------- locks, rights, upgrades
+@pytest.mark.wires
 def test_two_services_on_one_sqlite_file_are_refused(tmp_path: Path) -> None:
     url = f"sqlite:///{tmp_path}/shared/one.db"
     for name in ("first", "second"):
@@ -245,6 +247,7 @@ def older_service(tmp_path: Path) -> Iterator[Path]:
         process.communicate(timeout=60)
 
 
+@pytest.mark.wires
 def test_a_tool_does_not_upgrade_a_store_under_a_running_older_service(older_service: Path) -> None:
     with pytest.raises(StoreError, match=r"earlier version, and a service is running on it \(proc"):
         Store.open("", older_service)

@@ -30,6 +30,8 @@ from service.store.outbox import FILE_NAME as OUTBOX
 from service.store.pages import page_rows
 from service.store.salvage import damage_of, salvage_store
 
+pytestmark = pytest.mark.wires
+
 PAGE = 4096
 SAMPLES = 3000
 LINES = 300
@@ -283,6 +285,7 @@ def folders(tmp_path: Path) -> Callable[[], Path]:
     return make
 
 
+@pytest.mark.endurance
 def test_random_damages_stop_no_start_and_cost_no_whole_row(
     whole: Path, folders: Callable[[], Path], pytestconfig: pytest.Config
 ) -> None:

@@ -27,6 +27,7 @@ def locks(connection: psycopg.Connection[Any]) -> list[tuple[int, bool]]:
     ).fetchall()
 
 
+@pytest.mark.wires
 def test_a_second_service_with_a_directory_of_its_own_is_refused(
     postgresql: PostgreSQL, tmp_path: Path
 ) -> None:
@@ -58,6 +59,7 @@ def test_schemas_of_a_database_do_not_meet(postgresql: PostgreSQL, tmp_path: Pat
         pass
 
 
+@pytest.mark.wires
 def test_the_lock_is_taken_again_after_a_restart_of_the_server(tmp_path: Path) -> None:
     lost = threading.Event()
     with running_postgresql() as server:

@@ -49,7 +49,7 @@ def test_rollups_are_those_of_numpy(
             if channel == rollup.channel and time - time % bucket == rollup.time_us
         ]
         good = np.array([value for value, quality in inside if quality >= 192])
-        assert rollup.count == good.size
+        assert rollup.good == good.size
         if good.size:
             assert rollup.mean == pytest.approx(good.mean(), rel=1e-9, abs=1e-9)
             assert (rollup.min, rollup.max, rollup.quality) == (good.min(), good.max(), 192)
@@ -84,9 +84,9 @@ def test_a_long_gap_costs_a_page_nothing(store: Store) -> None:
 def test_a_page_never_cuts_a_bucket(store: Store) -> None:
     store.samples.write([Sample("a", "x", time_us, 1.0, 192, 0) for time_us in (5, 21, 27, 33)])
     first = store.history.read("a", None, 0, 99, 10, 2)
-    assert [(rollup.time_us, rollup.count) for rollup in first] == [(0, 1), (20, 2)]
+    assert [(rollup.time_us, rollup.good) for rollup in first] == [(0, 1), (20, 2)]
     rest = store.history.read("a", None, 0, 99, 10, 2, (20, "x"))
-    assert [(rollup.time_us, rollup.count) for rollup in rest] == [(30, 1)]
+    assert [(rollup.time_us, rollup.good) for rollup in rest] == [(30, 1)]
 
 
 def test_a_bucket_without_length_is_refused(store: Store) -> None:
@@ -175,7 +175,7 @@ def test_rollups_are_right_whenever_they_were_computed(
     for rollup in rollups:
         inside = expected[rollup.time_us, rollup.channel]
         good = np.array([value for value, quality in inside if quality >= 192])
-        assert rollup.count == good.size
+        assert rollup.good == good.size
         if good.size:
             assert rollup.mean == pytest.approx(good.mean(), rel=1e-9, abs=1e-6)
             assert (rollup.min, rollup.max, rollup.quality) == (good.min(), good.max(), 192)
@@ -185,7 +185,7 @@ def test_rollups_are_right_whenever_they_were_computed(
 
 
 def test_old_samples_are_condensed_before_they_go(store: Store) -> None:
-    times_us = [k * 500_000 for k in range(0, 3 * 7200, 7)]
+    times_us = [k * 500_000 for k in range(0, 6 * 7200, 7)]
     store.samples.write(
         [Sample("a", "x", time_us, float(time_us % 97), 192, 0) for time_us in times_us]
     )
@@ -204,8 +204,8 @@ def test_old_samples_are_condensed_before_they_go(store: Store) -> None:
     removed = store.rollups.expire(retention, day_us + 2 * HOUR_US + 5)
     assert removed == sum(time_us < 2 * HOUR_US for time_us in times_us)
     for level, now in zip(before, all_levels(), strict=True):
-        assert [(r.time_us, r.count, r.min, r.max) for r in now] == [
-            (r.time_us, r.count, r.min, r.max) for r in level
+        assert [(r.time_us, r.good, r.min, r.max) for r in now] == [
+            (r.time_us, r.good, r.min, r.max) for r in level
         ]
         assert [r.mean for r in now] == pytest.approx([r.mean for r in level])
     raw = store.samples.read("a", None, 0, 9 * HOUR_US, 10**6)
@@ -218,11 +218,14 @@ def test_old_samples_are_condensed_before_they_go(store: Store) -> None:
     assert [len(level) for level in all_levels()] == [len(level) for level in before]
     assert store.rollups.expire(retention, day_us + 2 * HOUR_US + 5) == 0
 
-    # Each level has its own end.
-    store.rollups.expire(Retention(minute_days=1.0), day_us + 2 * HOUR_US)
+    # Each level has its own end; minutes go by four hours.
+    store.samples.write([Sample("b", "x", day_us + 5 * HOUR_US, 1.0, 192, 0)])
+    assert store.rollups.expire(Retention(minute_days=1.0), day_us + 4 * HOUR_US - 1) == 0
+    assert all_levels()[1][0].time_us == 0
+    store.rollups.expire(Retention(minute_days=1.0), day_us + 5 * HOUR_US)
     seconds, minutes, hours = all_levels()
     assert seconds[0].time_us == hours[0].time_us == 0
-    assert minutes[0].time_us == 2 * HOUR_US
+    assert minutes[0].time_us == 4 * HOUR_US
 
 
 def test_a_late_sample_before_its_hour_is_condensed_still_counts(store: Store) -> None:
@@ -232,7 +235,7 @@ def test_a_late_sample_before_its_hour_is_condensed_still_counts(store: Store) -
     store.samples.write([Sample("b", "x", 20 * HOUR_US, 3.0, 192, 0)])
     assert store.rollups.expire(Retention(raw_days=0.5), 20 * HOUR_US) == 2
     (hour,) = store.history.read("a", None, 0, HOUR_US, HOUR_US, 9)
-    assert (hour.mean, hour.min, hour.max, hour.count) == (2.0, 1.0, 3.0, 2)
+    assert (hour.mean, hour.min, hour.max, hour.good) == (2.0, 1.0, 3.0, 2)
 
 
 def test_the_memory_of_a_read_does_not_grow_with_the_number_of_channels(store: Store) -> None:

@@ -2,8 +2,11 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
+from postgresql import PostgreSQL
+from sqlalchemy import insert
 
-from service.store import ActiveJobError, Store
+from service.store import ActiveJobError, AuditEntry, Store, StoreUnavailableError
+from service.store.tables import AssetStateRow
 
 
 def test_a_job_lives_from_queued_to_its_end(store: Store) -> None:
@@ -103,6 +106,26 @@ def test_an_asset_state_is_replaced_and_kept(tmp_path: Path) -> None:
     with Store.open("", tmp_path) as store:
         assert store.states.load("a") == {"revolutions": 2.5, "temperatures_c": [1.0] * 13}
         assert store.states.load("b") == {}
+
+
+@pytest.mark.wires
+def test_cells_keep_states_next_to_each_other(
+    postgresql: PostgreSQL, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is written with lines of the audit trail, which is everyone's, waits for its turn."""
+    monkeypatch.setattr("service.store.asset_states._PATIENCE_S", 0.2)
+    url = postgresql.database()
+    line = AuditEntry(1, "eva", "", "grease.renew", "asset b")
+    with Store.open(url, tmp_path / "one") as one, Store.open(url, tmp_path / "other") as other:
+        with one._database.writing_samples() as connection:
+            connection.execute(insert(AssetStateRow).values(asset="a", document={"by": "one"}))
+            other.states.save("b", {"by": "other"})
+            assert other.states.load("b") == {"by": "other"}
+            with pytest.raises(StoreUnavailableError):
+                other.states.save("b", {"by": "other, later"}, [line])
+        assert other.states.load_all() == {"a": {"by": "one"}, "b": {"by": "other"}}
+        other.states.save("b", {"by": "other, later"}, [line])
+        assert [entry.target for entry in one.audit.page().items] == ["asset b"]
 
 
 def test_states_of_many_assets_are_kept_at_once_to_the_last_bit(store: Store) -> None:

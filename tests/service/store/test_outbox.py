@@ -14,11 +14,16 @@ from pathlib import Path
 
 import pytest
 from alarm_bench import STORED
+from postgresql import PostgreSQL
 from processes import wait_until
+from sqlalchemy import Connection
 
-from service.store import AlarmChange, AlarmTransition, AuditEntry, Outbox, Store
+from service.store import AlarmChange, AlarmTransition, AuditEntry, Outbox, Store, StoreError
 from service.store.opening import FILE_NAME
 from service.store.outbox import FILE_NAME as OUTBOX_FILE
+from service.store.outbox import _checksum
+
+pytestmark = pytest.mark.wires
 
 PATIENCE_S = 30.0
 
@@ -89,6 +94,60 @@ def test_changes_are_written_in_order(store: Store, tmp_path: Path) -> None:
         assert [alarm.id for alarm in store.alarms.load()] == ["2nd"]
 
 
+class Commits:
+    """A witness that counts the transactions of a store."""
+
+    def __init__(self, store: Store) -> None:
+        self.count = 0
+        store.write_if(self)
+
+    def admit(self, connection: Connection) -> int:
+        return self.count
+
+    def committed(self, number: int) -> None:
+        self.count = number + 1
+
+    def check(self, connection: Connection) -> None: ...
+
+
+@pytest.mark.parametrize("kind", ["sqlite", pytest.param("postgresql", marks=pytest.mark.wires)])
+def test_what_waits_is_written_in_few_transactions(
+    kind: str, request: pytest.FixtureRequest, tmp_path: Path
+) -> None:
+    url = request.getfixturevalue("postgresql").database() if kind == "postgresql" else ""
+    with Store.open(url, tmp_path) as store:
+        with store._database.writing(), Outbox.open(tmp_path, store) as outbox:
+            record(outbox, *map(change, range(1, 101)))
+            outbox.flush(0)
+        commits = Commits(store)
+        with Outbox.open(tmp_path, store) as outbox:
+            assert outbox.flush(PATIENCE_S)
+        assert commits.count == 5
+        assert [one.time_us for one in store.alarms.journal().items[::-1]] == [*range(1, 101)]
+
+
+@pytest.mark.parametrize("kind", ["sqlite", pytest.param("postgresql", marks=pytest.mark.wires)])
+def test_one_that_is_refused_takes_none_of_its_portion_with_it(
+    kind: str, request: pytest.FixtureRequest, tmp_path: Path
+) -> None:
+    url = request.getfixturevalue("postgresql").database() if kind == "postgresql" else ""
+    of_no_alarm = replace(change(50).lines[0], alarm_id="never stored")
+    with Store.open(url, tmp_path) as store:
+        with store._database.writing(), Outbox.open(tmp_path, store) as outbox:
+            record(outbox, *map(change, range(1, 50)), AlarmChange(None, (of_no_alarm,)))
+            record(outbox, *map(change, range(51, 101)))
+            outbox.flush(0)
+        commits = Commits(store)
+        with Outbox.open(tmp_path, store) as outbox:
+            assert outbox.flush(PATIENCE_S)
+            assert outbox.refused == 1
+        assert commits.count == 4 + 20
+        times = [line.time_us for line in store.alarms.journal(limit=200).items[::-1]]
+        assert times == [*range(1, 101)], "the 50th is the line that says that it is refused"
+        (refused,) = store.refused.list()
+        assert "never stored" in refused.document
+
+
 def test_a_locked_store_makes_nobody_wait_and_a_restart_writes_first_what_waits(
     sqlite_store: Store, tmp_path: Path
 ) -> None:
@@ -109,7 +168,7 @@ def test_a_locked_store_makes_nobody_wait_and_a_restart_writes_first_what_waits(
         assert told(sqlite_store) == [1, 3, 4, 5]
 
 
-@pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
+@pytest.mark.parametrize("kind", ["sqlite", pytest.param("postgresql", marks=pytest.mark.wires)])
 def test_what_was_written_before_a_crash_is_not_written_again(
     kind: str, request: pytest.FixtureRequest, tmp_path: Path
 ) -> None:
@@ -207,14 +266,53 @@ def test_a_damaged_file_is_put_aside(sqlite_store: Store, tmp_path: Path) -> Non
     assert (tmp_path / "outbox-damaged-1.db").stat().st_size == 8192
 
 
-def test_what_is_refused_holds_nothing_up(sqlite_store: Store, tmp_path: Path) -> None:
+def test_what_is_refused_holds_nothing_up_and_is_seen(sqlite_store: Store, tmp_path: Path) -> None:
+    of_no_alarm = AlarmTransition(
+        "never stored", "a", "limit", "x", "", 3, "", "UNACK", "", "", 1.0, ""
+    )
     with locked(tmp_path), Outbox.open(tmp_path, sqlite_store) as outbox:
-        record(outbox, change(1), change(2), change(3, alarm_id="open too"))
+        record(outbox, change(1), change(2), AlarmChange(None, (of_no_alarm,)), audit_line(4))
         outbox.flush(0)
     with closing(sqlite3.connect(tmp_path / OUTBOX_FILE)) as file:
         file.execute("""UPDATE changes SET document = '{"weather": {}}' WHERE number = 2""")
+        (sender,) = file.execute("SELECT sender FROM changes WHERE number = 4").fetchone()
+        unknown = (sender, '{"weather": {}}')
+        file.execute(
+            "UPDATE changes SET document = ?, checksum = ? WHERE number = 4",
+            (unknown[1], _checksum(unknown)),
+        )
         file.commit()
-    with Outbox.open(tmp_path, sqlite_store) as outbox:
-        outbox.record(change(4, "ACKED"))
+    for _ in range(2):  # also when it is delivered again
+        shutil.copy(tmp_path / OUTBOX_FILE, tmp_path / "copy.db")
+        with Outbox.open(tmp_path, sqlite_store) as outbox:
+            outbox.record(change(5, "ACKED"))
+            assert outbox.flush(PATIENCE_S)
+            assert outbox.lost == 1, "the damaged one"
+        refused = sqlite_store.refused.list()
+        assert [one.assets for one in refused] == ["a", ""]
+        assert "FOREIGN KEY" in refused[0].reason
+        assert refused[1].reason == "this version cannot read it"
+        shutil.copy(tmp_path / "copy.db", tmp_path / OUTBOX_FILE)
+    lines = [line for line in sqlite_store.alarms.journal().items if line.kind != STORED.kind]
+    assert [(line.kind, line.time_us) for line in lines] == [("change not taken", 3)]
+    trail = sqlite_store.audit.page().items
+    assert [entry.action for entry in trail] == ["change.refuse", "change.refuse"]
+    assert sqlite_store.refused.repeat(refused[0].id, "eva") == "1 lines of the journal"
+    assert sqlite_store.alarms.journal().items[0] == replace(of_no_alarm, alarm_id=None)
+    with pytest.raises(StoreError, match="not known"):
+        sqlite_store.refused.repeat(refused[0].id, "eva")
+    with pytest.raises(StoreError, match="cannot read"):
+        sqlite_store.refused.repeat(refused[1].id, "eva")
+
+
+def test_a_text_that_postgresql_cannot_hold_is_refused_and_seen(
+    postgresql: PostgreSQL, tmp_path: Path
+) -> None:
+    url = postgresql.database()
+    with Store.open(url, tmp_path) as store, Outbox.open(tmp_path, store) as outbox:
+        refused = change(1)
+        outbox.record(replace(refused, alarm=replace(STORED, comment="a\0b")))
+        outbox.record(change(2))
         assert outbox.flush(PATIENCE_S)
-    assert [line.time_us for line in sqlite_store.alarms.journal().items] == [4, 1]
+        assert [one.since_us for one in store.alarms.load()] == [2]
+        assert ["NUL" in one.reason for one in store.refused.list()] == [True]

@@ -16,7 +16,7 @@ from sqlalchemy import select, text
 from adapters.samples import Sample
 from service.clock import HOUR_US, MINUTE_US
 from service.store import Retention, Store, StoreError
-from service.store.blocks import UNKNOWN_US, BlockDamagedError, Samples, pack, unpack
+from service.store.blocks import UNKNOWN_US, BlockDamagedError, ChannelSamples, pack, unpack
 from service.store.packed import hours_of
 from service.store.salvage import salvage_store
 from service.store.tables import SampleBlockRow, SampleRow
@@ -147,10 +147,10 @@ def test_a_packed_store_reads_and_counts_as_one_that_is_not(
         ]
         assert len(rollups[0]) == len(rollups[1])
         for mine, other in zip(*rollups, strict=True):
-            assert (mine.channel, mine.time_us, mine.min, mine.max, mine.count, mine.quality) == (
-                other.channel, other.time_us, other.min, other.max, other.count, other.quality
+            assert (mine.channel, mine.time_us, mine.min, mine.max, mine.good, mine.quality) == (
+                other.channel, other.time_us, other.min, other.max, other.good, other.quality
             )  # fmt: skip
-            if mine.count:
+            if mine.good:
                 assert mine.mean == pytest.approx(other.mean, rel=1e-9, abs=1e-6)
 
 
@@ -222,15 +222,35 @@ def test_what_is_sent_again_leaves_an_hour_packed(store: Store) -> None:
     again = [Sample(*("bench-1", *row[:4], START_US + 9)) for row in rows]
     assert store.samples.write(again) == (0, count)
     assert in_table(store) == 0
-    # One that is new brings back the hour of its channel, and of no other.
+    # One that is new changes the hour of its channel, and of no other.
     late = Sample("bench-1", "t_3", START_US + 7, 1.0, 192, 0)
     assert store.samples.write([late, *again]) == (1, count)
-    assert in_table(store) == 101
-    assert packed(store) == 1
     assert in_table(store) == 0
+    assert len(blocks(store)) == 2, "it has times of its own"
+    assert store.rollups.refresh(START_US + HOUR_US) == 1
+    [hour] = store.history.read("bench-1", ["t_3"], 0, START_US + HOUR_US, HOUR_US, 9)
+    assert (hour.good, hour.min) == (101, 1.0)
     # What was sent again has changed no received time.
     found = store.samples.read("bench-1", None, 0, 2**62, 10_000)
     assert sorted(found) == sorted([*rows, late[1:]])
+
+
+def test_a_poll_that_comes_late_stays_in_one_block(store: Store) -> None:
+    polled(store, seconds=100)
+    packed(store)
+    late = [Sample("bench-1", f"t_{k}", START_US + 7, 1.0 + k, 192, 0) for k in range(8)]
+    assert store.samples.write(late[:8]) == (8, 0)
+    assert len(blocks(store)) == 1
+    # A bad value that is mended, in one batch and in two.
+    worse = [Sample("bench-1", "t_1", START_US + at, NAN, 0, 0) for at in (8, 9)]
+    good = [Sample("bench-1", "t_1", START_US + at, 5.0, 192, 0) for at in (8, 9)]
+    assert store.samples.write([worse[0], good[0], worse[1], good[0]]) == (3, 1)
+    assert store.samples.write([good[1], good[0], worse[1]]) == (1, 2)
+    found = store.samples.read("bench-1", ["t_1"], START_US + 7, START_US + 10, 9)
+    assert [row.value for row in found] == [2.0, 5.0, 5.0]
+    assert in_table(store) == 0
+    assert len(blocks(store)) == 2
+    assert store.find_damage() is None
 
 
 @pytest.mark.parametrize("keeps_seconds", [True, False])
@@ -247,7 +267,7 @@ def test_retention_removes_packed_hours_as_it_removes_others(
         removed = one.rollups.expire(retention, START_US + 4 * HOUR_US)
         left = one.samples.read("bench-1", None, 0, 2**62, 10_000)
         seconds = one.history.read("bench-1", None, 0, START_US + 9 * HOUR_US, SECOND_US, 10_000)
-        return removed, left, [(s.channel, s.time_us, s.min, s.max, s.count) for s in seconds]
+        return removed, left, [(s.channel, s.time_us, s.min, s.max, s.good) for s in seconds]
 
     with Store.open("", tmp_path / "plain") as plain:
         expected = after_expiry(plain, pack_first=False)
@@ -282,9 +302,9 @@ def test_a_damaged_block_costs_only_itself(store: Store) -> None:
     problem = store.find_damage()
     assert problem is not None
     assert "blocks of samples are damaged: 200 samples of bench-1" in problem
-    # It gets samples again, and is packed again.
+    # It gets samples again.
     assert polled(store, 50, 2) == 100
-    assert packed(store) == 2
+    assert in_table(store) == 0
     assert len(store.samples.read("bench-1", None, 0, 2**62, 10_000)) == 500
     assert store.find_damage() is None
 
@@ -314,9 +334,9 @@ def test_what_another_program_condensed_is_condensed_again(store: Store) -> None
         assert other.samples.write(batch[:100]) == (100, 0)
         assert packed(store) == 1
         assert other.samples.write(batch[100:]) == (100, 0)
-        assert packed(store) == 1
+        assert packed(store) == 0, "it is"
         (hour,) = store.history.read("a", None, 0, START_US + 2 * HOUR_US, HOUR_US, 10)
-    assert hour.count == 200
+    assert hour.good == 200
 
 
 def test_an_hour_whose_block_is_gone_is_one_without_samples(store: Store) -> None:
@@ -368,7 +388,7 @@ def test_a_block_holds_every_bit(rows: list[tuple[int, float, int, int]], step_u
     times_us, values, qualities, received_us = zip(
         *sorted(rows, key=lambda row: row[0]), strict=True
     )
-    samples = Samples(
+    samples = ChannelSamples(
         np.array(times_us, np.int64),
         np.array(values),
         np.array(qualities, np.uint16),
@@ -403,7 +423,9 @@ def test_salvage_joins_rows_and_a_block_of_one_hour(tmp_path: Path) -> None:
 
 
 def test_a_block_of_a_later_version_says_so() -> None:
-    samples = Samples(np.array([1]), np.array([math.pi]), np.array([192], np.uint16), np.array([1]))
+    samples = ChannelSamples(
+        np.array([1]), np.array([math.pi]), np.array([192], np.uint16), np.array([1])
+    )
     with pytest.raises(StoreError, match="codec 2: expected 1"):
         unpack(pack([samples])._replace(codec=2), 0)
     with pytest.raises(BlockDamagedError, match="1 channels"):

@@ -80,6 +80,7 @@ def test_a_partition_of_a_batch_that_failed_is_made_again(
         assert store.samples.write([sample(5)]) == (1, 0)
 
 
+@pytest.mark.wires
 def test_a_server_that_is_away_is_no_answer_in_time_and_is_found_again(tmp_path: Path) -> None:
     with running_postgresql() as server, Store.open(server.database(), tmp_path) as store:
         assert store.samples.write([sample(1)]) == (1, 0)

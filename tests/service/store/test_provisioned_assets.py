@@ -77,3 +77,22 @@ def test_thousands_are_written_and_read_at_once(tmp_path: Path) -> None:
         tables = {f"axle-{n:05d}": {"template": "axle", "values": {"unit": n}} for n in range(5000)}
         revision = store.assets.change(tables, 1)
         assert {one.id: one.table for one in store.assets.changed_since(revision - 1)} == tables
+
+
+def test_the_table_says_when_an_asset_was_away(store: Store) -> None:
+    store.assets.change({"a": {}, "b": {}}, 1)
+    assert store.assets.once_removed() == []
+    store.assets.change({"a": None}, 2)
+    store.assets.change({"a": None}, 3)
+    assert [(one.id, one.removed_us, one.added_us) for one in store.assets.once_removed()] == [
+        ("a", 2, None)
+    ]
+    store.assets.change({"a": {"n": 1}}, 4)
+    store.assets.change({"a": {"n": 2}, "b": {"n": 2}}, 5)
+    assert [
+        (one.removed_us, one.added_us, one.changed_us) for one in store.assets.once_removed(["a"])
+    ] == [(2, 4, 5)]
+    store.assets.change({"a": None}, 6)
+    (found,) = store.assets.once_removed()
+    assert (found.table, found.removed_us, found.added_us) == (None, 6, None)
+    assert store.assets.once_removed(["b"]) == []

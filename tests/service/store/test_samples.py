@@ -189,3 +189,12 @@ def test_latest_and_first_and_what_is_open(store: Store) -> None:
     }
     assert store.samples.first_time_us("bench-1") == 10
     assert store.samples.open_ends() == {("bench-1", "x"): 30, ("bench-1", "z"): 40}
+
+
+def test_of_minus_zero_sqlite_keeps_zero(store: Store) -> None:
+    """As docs/run/store.md says; it is no other number."""
+    store.samples.write([Sample("a", "x", 1, -0.0, 192, 1)])
+    (found,) = store.samples.read("a", None, 0, 2**62, 10)
+    assert found.value == 0.0
+    is_sqlite = store._database.engine.dialect.name == "sqlite"
+    assert math.copysign(1.0, found.value) == (1.0 if is_sqlite else -1.0)

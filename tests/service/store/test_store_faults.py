@@ -26,6 +26,7 @@ for number in itertools.count():
 """
 
 
+@pytest.mark.wires
 @pytest.mark.parametrize("batches_before_the_kill", [1, 7, 30])
 def test_a_killed_writer_loses_nothing_that_it_acknowledged(
     tmp_path: Path, batches_before_the_kill: int

@@ -12,11 +12,18 @@ from pathlib import Path
 import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.runtime.migration import MigrationContext
+from alembic.script import ScriptDirectory
 from sqlalchemy import create_engine, insert, inspect
 
 from adapters.samples import Sample
-from service.store import DataDirectoryInUseError, Store, StoreError, lock_data_directory
-from service.store.migrations import upgrade
+from service.store import (
+    DataDirectoryInUseError,
+    Store,
+    StoreError,
+    lock_data_directory,
+    migrations,
+)
+from service.store.migrations import last_revision, upgrade
 from service.store.opening import FILE_NAME
 from service.store.postgresql import PARTITION_US
 from service.store.salvage import salvage_store
@@ -57,6 +64,42 @@ def test_the_file_keeps_a_write_ahead_log_and_commits_reach_the_disk(sqlite_stor
             assert connection.exec_driver_sql("PRAGMA foreign_keys").scalar() == 1
 
 
+def shape_of(path: Path) -> dict[str, object]:
+    """Tables with their columns in order, indexes, triggers and references of an SQLite file."""
+    with contextlib.closing(sqlite3.connect(path)) as connection:
+        made: dict[str, object] = {}
+        for kind, name, sql in connection.execute("SELECT type, name, sql FROM sqlite_master"):
+            if kind == "table":
+                made[name] = [
+                    sorted(connection.execute(f"PRAGMA {question}({name})").fetchall())
+                    for question in ("table_info", "foreign_key_list")
+                ]
+            else:
+                made[name] = sql and re.sub(r"\s+", " ", sql)
+        made["revision"] = connection.execute("SELECT version_num FROM alembic_version").fetchall()
+        return made
+
+
+def test_a_new_file_is_made_as_all_migrations_would(tmp_path: Path) -> None:
+    """Salvage reads the pages of a damaged file by the order of the columns in a new one."""
+    Store.open("", tmp_path / "new").close()
+    migrated = tmp_path / "migrated.db"
+    engine = create_engine(f"sqlite:///{migrated}")
+    upgrade(engine)
+    engine.dispose()
+    assert shape_of(tmp_path / "new" / "bearing-twin.db") == shape_of(migrated)
+
+
+@pytest.mark.wires
+def test_the_last_migration_is_known_without_loading_alembic(tmp_path: Path) -> None:
+    assert ScriptDirectory.from_config(migrations._config()).get_current_head() == last_revision()
+    text = (
+        "import sys; from pathlib import Path; from service.store import Store; "
+        f"Store.open('', Path({str(tmp_path)!r})).close(); sys.exit('alembic' in sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", text], check=True)
+
+
 def test_the_migrations_make_the_tables_that_the_program_expects(store: Store) -> None:
     with store._database.reading() as connection:
         context = MigrationContext.configure(
@@ -74,12 +117,13 @@ def test_the_migrations_make_the_tables_that_the_program_expects(store: Store) -
             for index in table.indexes:
                 options = made[str(index.name)].get("dialect_options", {})
                 kind = connection.dialect.name
-                # The server writes the condition in its own words, with the same values.
+                # The tables name it for SQLite only: those of PostgreSQL are made by migrations,
+                # and the server writes it in its own words, with the same values.
                 made_where, wanted = (
                     re.findall(r"'\w+'", str(where))
                     for where in (
                         options.get(f"{kind}_where"),
-                        index.dialect_options[kind]["where"],
+                        index.dialect_options["sqlite"]["where"],
                     )
                 )
                 assert made_where == wanted
@@ -124,7 +168,7 @@ BLOCK = (1, 2676025315, bytes.fromhex(
 HOUR_OF_BLOCK_US = 1_789_999_200_000_000
 
 
-@pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
+@pytest.mark.parametrize("kind", ["sqlite", pytest.param("postgresql", marks=pytest.mark.wires)])
 def test_samples_from_before_received_times_stay_as_they_are(
     request: pytest.FixtureRequest, tmp_path: Path, kind: str
 ) -> None:
@@ -168,7 +212,7 @@ def test_samples_from_before_received_times_stay_as_they_are(
             ("x", begin_us + 4 * 10**9, 1.5, 192, None),
         ]
         assert store.samples.read("a", None, 0, 2**62, 9) == before
-        # One that mends and one that is late bring the hour back, with their own received times.
+        # One that mends and one that is late join the hour, with their own received times.
         later = [
             Sample("a", "y", begin_us + 1_000_007, 20.75, 192, begin_us + 7),
             Sample("a", "y", begin_us + 3_000_000, math.nan, 24, begin_us + 8),
@@ -180,7 +224,7 @@ def test_samples_from_before_received_times_stay_as_they_are(
         assert store.samples.read("a", None, 0, 2**62, 9) == after
         while store.rollups.refresh(begin_us + 10**11):
             pass
-        assert store.packing.pack(begin_us + 10**11) == 2
+        assert store.packing.pack(begin_us + 10**11) == 1, "the other hour is packed"
         assert store.samples.read("a", None, 0, 2**62, 9) == after
         assert store.find_damage() is None
 
@@ -263,6 +307,7 @@ def test_a_directory_in_place_of_the_file_is_refused(tmp_path: Path) -> None:
         Store.open("", tmp_path)
 
 
+@pytest.mark.wires
 @pytest.mark.parametrize("there_before", [False, True])
 def test_a_store_that_may_not_be_written_is_refused(tmp_path: Path, there_before: bool) -> None:
     data_dir = tmp_path / "var"
@@ -288,6 +333,24 @@ def test_a_store_that_may_not_be_written_is_refused(tmp_path: Path, there_before
     assert said.count("\n") == 1
 
 
+@pytest.mark.wires
+def test_opened_twice_in_a_process_it_keeps_its_log_from_other_programs(tmp_path: Path) -> None:
+    """Closing any descriptor of the file would drop the locks that SQLite holds for all."""
+    log = tmp_path / f"{FILE_NAME}-wal"
+    code = (
+        "import sys, pathlib\n"
+        "from service.store import Store\n"
+        "Store.open('', pathlib.Path(sys.argv[1])).close()\n"
+    )
+    with Store.open("", tmp_path) as cell:
+        cell.samples.write([Sample("a", "x", 5, 1.0, 192, 5)])
+        with Store.open("", tmp_path) as web:
+            assert python(code, str(tmp_path)).communicate(timeout=180)[0] == ""
+            assert log.exists(), "another program that ends takes the log for its own to remove"
+            assert len(web.samples.read("a", None, 0, 10, 10)) == 1
+
+
+@pytest.mark.wires
 def test_programs_that_start_together_make_one_store(tmp_path: Path) -> None:
     code = (
         "import sys, pathlib\n"
@@ -313,6 +376,7 @@ HOLD = (
 )
 
 
+@pytest.mark.wires
 def test_a_second_service_on_the_directory_is_refused_and_told_of_the_first(tmp_path: Path) -> None:
     first = python(HOLD, str(tmp_path))
     assert first.stdout is not None
@@ -328,6 +392,7 @@ def test_a_second_service_on_the_directory_is_refused_and_told_of_the_first(tmp_
     lock_data_directory(tmp_path).close()
 
 
+@pytest.mark.wires
 def test_a_killed_service_leaves_no_lock(tmp_path: Path) -> None:
     first = python(HOLD, str(tmp_path))
     assert first.stdout is not None

@@ -1,64 +1,29 @@
 """MDF 4 out and in: units, quality, times; files of others, and what cannot be used."""
 
-import json
 import math
 import random
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from adapters.samples import Sample
-from service.cli.main import app
 from service.clock import from_rfc3339
 from service.store import Store
 from service.transfer.mdf import load_asammdf
 
+from .conftest import Run, stored
+
 # As the product does: a plain import fails once the CAN driver has barred the library.
 asammdf = load_asammdf()
 
-Run = Callable[..., tuple[int, dict[str, Any], str]]
 
 START = "2026-03-01T12:00:00.250001Z"
 START_US = from_rfc3339(START)
-CONFIG = """
-[service]
-data_dir = "data"
-[[assets]]
-id = "a"
-bearing = "6311"
-low_risk = { speed_rpm_max = 4300, load_n_max = 3400 }
-channels = { t_inner_ring_c = { source = "push" } }
-"""
-
-
-@pytest.fixture
-def run(tmp_path: Path) -> Run:
-    config = tmp_path / "c.toml"
-    config.write_text(CONFIG)
-
-    def run(*arguments: object) -> tuple[int, dict[str, Any], str]:
-        texts = [str(one) for one in arguments]
-        result = CliRunner().invoke(app, [*texts, "-c", str(config), "--asset", "a", "--json"])
-        if isinstance(result.exception, ValueError):
-            assert type(result.exception).__module__.startswith(("service.", "adapters."))
-            assert "\n" not in str(result.exception)
-            return 2, {}, str(result.exception)
-        assert result.exception is None or isinstance(result.exception, SystemExit), result
-        return result.exit_code, json.loads(result.stdout), result.stderr
-
-    return run
-
-
-def stored(tmp_path: Path) -> list[tuple[str, int, float | None, int]]:
-    with Store.open("", tmp_path / "data") as store:
-        rows = store.samples.read("a", None, 0, 2**62, 10**6)
-    return [(row.channel, row.time_us, row.value, row.quality) for row in rows]
 
 
 def fill(tmp_path: Path, samples: Sequence[Sample]) -> None:
@@ -247,12 +212,12 @@ def test_a_file_that_is_none_and_a_missing_library_are_one_line(
     path = record(tmp_path / "bench.mf4", [signal("ambient_c", "°C", [20.0] * 1000)])
     whole = path.read_bytes()
     for content, said in (
-        (b"time,ambient_c\n", "not a finished MDF 4 file"),
-        (b"", "not a finished MDF 4 file"),
-        (b"UnFinMF " + whole[8:], "not a finished MDF 4 file"),
-        (whole[:100], "damaged MDF 4 file (cut off at 100 bytes)"),
-        (whole[:200], "damaged MDF 4 file (cut off at 200 bytes)"),
-        (whole[: len(whole) // 2], "damaged MDF 4 file"),
+        (b"time,ambient_c\n", "not a finished MDF 3 or MDF 4 file"),
+        (b"", "not a finished MDF 3 or MDF 4 file"),
+        (b"UnFinMF " + whole[8:], "not a finished MDF 3 or MDF 4 file"),
+        (whole[:100], "damaged MDF file (cut off at 100 bytes)"),
+        (whole[:200], "damaged MDF file (cut off at 200 bytes)"),
+        (whole[: len(whole) // 2], "damaged MDF file"),
     ):
         path.write_bytes(content)
         status, _, text = run("import", path)
@@ -263,3 +228,68 @@ def test_a_file_that_is_none_and_a_missing_library_are_one_line(
     for command in (("import", path), ("export", "--out", tmp_path / "out.mf4")):
         assert run(*command)[2] == "MDF 4 needs asammdf: pip install 'bearing-twin[mdf]'"
     assert not (tmp_path / "out.mf4").exists()
+
+
+def test_an_older_file_is_known_by_its_first_bytes(tmp_path: Path, run: Run) -> None:
+    file = tmp_path / "old.mdf"
+    with asammdf.MDF(version="3.30") as mdf:
+        mdf.append([signal("t_inner_ring_c", "K", [300.0, 301.0])], common_timebase=True)
+        mdf.save(file)
+    status, _, error = run("import", file)
+    assert status == 2
+    assert error == "old.mdf: MDF 3.30 knows no time zone; expected --start with the time of 0 s"
+    status, report, _ = run("import", file, "--start", START)
+    assert (status, report["stored"]) == (0, 2)
+    assert [(time, value) for _, time, value, _ in stored(tmp_path)] == [
+        (START_US, pytest.approx(26.85)),
+        (START_US + 500_000, pytest.approx(27.85)),
+    ]
+    cut = tmp_path / "cut.dat"
+    cut.write_bytes(file.read_bytes()[:100])
+    status, _, error = run("import", cut, "--start", START)
+    assert (status, error) == (2, "cut.dat: damaged MDF file (cut off at 100 bytes)")
+
+
+def test_two_channels_of_one_name_in_one_group_are_told_apart_by_their_index(
+    tmp_path: Path, run: Run
+) -> None:
+    first, second = signal("T_IR", "°C", [40.0, 41.0]), signal("T_IR", "°C", [50.0, 51.0])
+    file = record(tmp_path / "two.mf4", [first, second])
+    mapping = tmp_path / "m.toml"
+    lines = '[channels.t_inner_ring_c]\ncolumn = "T_IR"\n'
+    for given in ("", "group = 0\n"):
+        mapping.write_text(lines + given)
+        status, _, error = run("import", file, "--mapping", mapping)
+        assert status == 2
+        assert error == (
+            "two.mf4: channel 'T_IR' is in the groups 0 (index 1), 0 (index 2); expected "
+            "channels.t_inner_ring_c.group and index = one of them"
+        )
+    mapping.write_text(lines + "group = 0\nindex = 2\n")
+    assert run("import", file, "--mapping", mapping)[1]["stored"] == 2
+    assert [value for _, _, value, _ in stored(tmp_path)] == [50.0, 51.0]
+    named = record(tmp_path / "named.mf4", [signal("speed_rpm", "rpm", [1.0])] * 2)
+    status, _, error = run("import", named)
+    assert (status, error) == (
+        2,
+        "named.mf4: channel 'speed_rpm' is in group 0 several times (index 1, 2); expected a "
+        "mapping with group and index",
+    )
+
+
+def test_times_that_step_back_leave_no_value_unsaid(tmp_path: Path, run: Run) -> None:
+    times = np.array([0.0, 1.0, 2.0, 1.0, 2.0, 3.0])
+    values = np.array([20.0, 21.0, 22.0, 91.0, 22.0, 23.0])
+    file = record(
+        tmp_path / "back.mf4", [asammdf.Signal(values, times, unit="°C", name="t_inner_ring_c")]
+    )
+    status, report, error = run("import", file)
+    assert (status, report["stored"], report["duplicates"], report["rejected"]) == (2, 4, 1, 1)
+    assert report["errors"] == [
+        {
+            "line": 4,
+            "detail": "t_inner_ring_c = 91 at 2026-03-01T12:00:01.000Z: same time, another "
+            "value: not taken; 21 is stored",
+        }
+    ]
+    assert "line 4: t_inner_ring_c = 91" in error

@@ -1,16 +1,14 @@
 """Import and export, on real files and a real store, through the command line's functions."""
 
-import json
 import math
 import random
 import shutil
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from site_files import asset_text
 from typer.testing import CliRunner
 
 from adapters.samples import Sample
@@ -18,46 +16,11 @@ from service.cli.main import app
 from service.clock import from_rfc3339, rfc3339, rfc3339_exact
 from service.store import Store
 
-Run = Callable[..., tuple[int, dict[str, Any], str]]
+from .conftest import CONFIG, Run, stored
 
 START = "2026-03-01T12:00:00Z"
 START_US = from_rfc3339(START)
 HEADER = "time,speed_rpm,load_n,ambient_c,t_inner_ring_c,t_outer_ring_c"
-CONFIG = """
-[service]
-data_dir = "data"
-[[assets]]
-id = "a"
-bearing = "6311"
-network = "bearing-14"
-low_risk = { speed_rpm_max = 4300, load_n_max = 3400 }
-[assets.limits]
-t_inner_ring_c = { warning = 70, alarm = 95 }
-[assets.channels]
-t_inner_ring_c = { source = "push" }
-"""
-
-
-@pytest.fixture
-def run(tmp_path: Path) -> Run:
-    config = tmp_path / "c.toml"
-    config.write_text(CONFIG)
-
-    def run(*arguments: object) -> tuple[int, dict[str, Any], str]:
-        texts = [str(one) for one in arguments]
-        result = CliRunner().invoke(app, [*texts, "-c", str(config), "--asset", "a", "--json"])
-        if isinstance(result.exception, ValueError):
-            return 2, {}, str(result.exception)
-        assert result.exception is None or isinstance(result.exception, SystemExit), result
-        return result.exit_code, json.loads(result.stdout), result.stderr
-
-    return run
-
-
-def stored(tmp_path: Path) -> list[tuple[str, int, float | None, int]]:
-    with Store.open("", tmp_path / "data") as store:
-        rows = store.samples.read("a", None, 0, 2**62, 10**6)
-    return [(row.channel, row.time_us, row.value, row.quality) for row in rows]
 
 
 def received_us(tmp_path: Path) -> list[int | None]:
@@ -279,21 +242,10 @@ def test_an_asset_that_is_not_configured_is_named(tmp_path: Path) -> None:
 def test_an_asset_with_its_own_network_has_its_own_columns(tmp_path: Path) -> None:
     config = tmp_path / "c.toml"
     networks = Path(__file__).parents[3] / "deploy" / "networks"
-    config.write_text(
-        f"""
-[service]
-data_dir = "data"
-[[assets]]
-id = "g"
-network = "{networks / "gearbox.toml"}"
-low_risk = {{ speed_rpm_max = 1000, load_n_max = 3000 }}
-[assets.channels]
-speed_rpm = {{ source = "push" }}
-load_n = {{ source = "push" }}
-ambient_c = {{ source = "push" }}
-t_bearing_c = {{ source = "push" }}
-"""
-    )
+    network = f'network = "{networks / "gearbox.toml"}"'
+    columns = ("speed_rpm", "load_n", "ambient_c", "t_bearing_c")
+    text = asset_text("g", columns, machine=network, low_risk=(1000, 3000))
+    config.write_text('[service]\ndata_dir = "data"\n' + text)
 
     def run(path: Path) -> str:
         arguments = ["import", str(path), "-c", str(config), "--asset", "g"]
@@ -349,3 +301,29 @@ def test_progress_is_shown_without_a_terminal(
     status, _, text = run("import", table(tmp_path, *rows))
     assert status == 0
     assert "import data.csv: 100 %" in text
+
+
+def test_a_time_that_comes_again_with_another_value_is_named(tmp_path: Path, run: Run) -> None:
+    rows = [f"2026-03-01T12:00:0{second}Z,1500,2650,21,4{second},40" for second in (0, 1, 1, 2)]
+    rows[2] = rows[2].replace("41,40", "71,40")
+    file = table(tmp_path, *rows)
+    said = "t_inner_ring_c = 71 at 2026-03-01T12:00:01.000Z: same time, another value: not taken; "
+    dry = run("import", file, "--dry-run")[1]
+    assert [one["line"] for one in dry["errors"]] == [4]
+    status, report, error = run("import", file)
+    assert (status, report["samples"], report["stored"]) == (2, 20, 15)
+    assert (report["duplicates"], report["rejected"]) == (4, 1), "the other four say the same"
+    assert report["errors"] == [{"line": 4, "detail": f"{said}41 is stored"}]
+    assert f"line 4: {said}" in error
+    # Of another file, too; what says the same is already stored.
+    other = table(tmp_path, rows[2], rows[3])
+    status, report, _ = run("import", other)
+    assert (status, report["stored"], report["duplicates"], report["rejected"]) == (2, 0, 9, 1)
+
+
+def test_a_value_for_a_bad_sample_is_taken(tmp_path: Path, run: Run) -> None:
+    header = "time,channel,value,quality"
+    lines = ["2026-03-01T12:00:00Z,speed_rpm,,0", "2026-03-01T12:00:00Z,speed_rpm,1500,192"]
+    status, report, _ = run("import", table(tmp_path, *lines, header=header))
+    assert (status, report["rejected"]) == (0, 0)
+    assert [row[2] for row in stored(tmp_path)] == [1500.0]

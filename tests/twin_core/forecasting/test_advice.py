@@ -14,7 +14,7 @@ from twin_core.forecasting.advice import (
     advise,
 )
 from twin_core.forecasting.candidates import candidates, why_not
-from twin_core.forecasting.design import Design, Level, held_profile
+from twin_core.forecasting.design import Design, held_profile
 from twin_core.forecasting.ensemble import LOAD_DEVIATION
 from twin_core.forecasting.envelope import envelope
 from twin_core.forecasting.runaway import LIKELY
@@ -23,14 +23,15 @@ from twin_core.identification.posterior import Posterior, TrainedRange, prior_po
 from twin_core.identification.problem import IdentificationProblem
 from twin_core.machine_state import MachineState
 from twin_core.models import ThermalModel, build_model
-from twin_core.operating_points import OperatingPoint
+from twin_core.operating_points import OperatingSpan
+from twin_core.profiles import Step
 from twin_core.simulation import simulate, steady_state
 from twin_core.windows import LowRiskRegion, MinuteData
 
 FloatArray = NDArray[np.float64]
 SENSORS = ("t_inner_ring_c", "t_outer_ring_c")
-TRAINED = (OperatingPoint(5801.0, 2648.0, 21600.0, 0.0),)
-TARGET = Level(5800.0, 5500.0, 7200.0)
+TRAINED = (OperatingSpan(5801.0, 2648.0, 21600.0, 0.0),)
+TARGET = Step(5800.0, 5500.0, 7200.0)
 REGION = LowRiskRegion(speed_rpm_max=5900.0, load_n_max=3400.0)
 WARNING_C = {"t_inner_ring_c": 90.0, "t_outer_ring_c": 80.0}
 
@@ -40,7 +41,7 @@ def model() -> ThermalModel:
     return build_model(bearing=bearing("6311"))
 
 
-def rows_of(model: ThermalModel, levels: tuple[Level, ...]) -> IdentificationData:
+def rows_of(model: ThermalModel, levels: tuple[Step, ...]) -> IdentificationData:
     """Noise-free data of the central machine, run from cold."""
     profile = held_profile(levels, 22.0)
     path = simulate(model, model.parameters.centre, profile, np.full(13, 22.0)).temperatures_c
@@ -62,9 +63,9 @@ def information_of(model: ThermalModel, data: IdentificationData) -> FloatArray:
     return np.asarray(jacobian.T @ jacobian)
 
 
-def trained_on(model: ThermalModel, points: tuple[OperatingPoint, ...]) -> Posterior:
+def trained_on(model: ThermalModel, points: tuple[OperatingSpan, ...]) -> Posterior:
     """As after an identification of the central machine at some points, run from cold."""
-    levels = tuple(Level(p.speed_rpm, p.load_n, p.duration_s) for p in points)
+    levels = tuple(Step(p.speed_rpm, p.load_n, p.duration_s) for p in points)
     p = model.parameters.size
     return replace(
         prior_posterior(model),
@@ -106,8 +107,7 @@ def test_a_repetition_of_the_data_comes_last_and_says_so(advice: Advice) -> None
     assert {step.levels[0].load_n for step in repeats} == {2650.0}
     assert all("hardly anything new" in step.why for step in repeats)
     best, worst = advice.steps[0], advice.steps[-1]
-    assert len(worst.levels) == 1
-    assert worst.levels[0].load_n == 2650.0
+    assert {level.load_n for level in worst.levels} == {2650.0}
     name = advice.sensor
     assert worst.cautious_half_width_k[name] > 1.3 * best.cautious_half_width_k[name]
 
@@ -154,7 +154,7 @@ def test_where_a_runaway_is_not_excluded_steps_that_leave_the_least_of_it_come_f
 def test_where_a_runaway_is_excluded_the_interval_alone_ranks(
     model: ThermalModel, single_load: Posterior, state: MachineState
 ) -> None:
-    near = Level(5800.0, 3600.0, 7200.0)
+    near = Step(5800.0, 3600.0, 7200.0)
     found = advise(model, single_load, state, near, REGION, WARNING_C)
     assert "runaway not excluded" not in found.labels
     assert not found.by_runaway
@@ -192,9 +192,9 @@ def test_the_target_is_forecast_with_its_labels(advice: Advice) -> None:
 def test_beyond_the_regions_speed_the_load_moves_at_a_known_one(
     model: ThermalModel, state: MachineState
 ) -> None:
-    slow = trained_on(model, (OperatingPoint(4200.0, 2650.0, 21600.0, 0.0),))
+    slow = trained_on(model, (OperatingSpan(4200.0, 2650.0, 21600.0, 0.0),))
     region = LowRiskRegion(speed_rpm_max=4300.0, load_n_max=3400.0)
-    found = advise(model, slow, state, Level(6200.0, 5500.0, 7200.0), region, WARNING_C)
+    found = advise(model, slow, state, Step(6200.0, 5500.0, 7200.0), region, WARNING_C)
     assert all(level.speed_rpm <= 4300.0 for step in found.steps for level in step.levels)
     first, second = found.steps[0].levels
     assert first.speed_rpm == second.speed_rpm
@@ -205,12 +205,71 @@ def test_a_known_machine_has_nothing_left_to_learn(
     model: ThermalModel, state: MachineState
 ) -> None:
     known = replace(
-        trained_on(model, (*TRAINED, OperatingPoint(5800.0, 3400.0, 7200.0, 21600.0))),
+        trained_on(model, (*TRAINED, OperatingSpan(5800.0, 3400.0, 7200.0, 21600.0))),
         covariance=1e-4 * np.eye(model.parameters.size),
     )
     found = advise(model, known, state, TARGET, REGION, WARNING_C)
     assert not found.worth_while
     assert all("hardly anything new" in step.why for step in found.steps)
+
+
+# ---------------------------------------------------------------------------- the next step
+def test_the_next_step_is_what_brings_most_within_twenty_minutes(advice: Advice) -> None:
+    soon = [step for step in advice.steps if step.duration_s <= 1200.0]
+    assert {step.duration_s for step in soon} == {600.0, 900.0, 1200.0}
+    assert advice.next_step == soon[0]
+    name = advice.sensor
+    least_k = min(step.cautious_half_width_k[name] for step in soon)
+    assert soon[0].cautious_half_width_k[name] <= 1.03 * least_k
+    # Among them are steps down in load and in speed that are worth while.
+    for lighter in (
+        [step for step in soon if max(level.load_n for level in step.levels) < 2650.0],
+        [step for step in soon if max(level.speed_rpm for level in step.levels) < 5800.0],
+    ):
+        assert max(step.narrower_by for step in lighter) >= 0.1
+
+
+def test_the_shortest_step_that_reaches_the_asked_half_width_is_next(
+    model: ThermalModel, single_load: Posterior, state: MachineState, advice: Advice
+) -> None:
+    name = advice.sensor
+    now_k = advice.now[name].half_width_k
+    widths = {
+        duration_s: min(
+            step.cautious_half_width_k[name]
+            for step in advice.steps
+            if step.duration_s == duration_s
+        )
+        for duration_s in (600.0, 1200.0)
+    }
+    assert widths[1200.0] < widths[600.0] < now_k
+    for asked_k, duration_s in ((1.01 * widths[600.0], 600.0), (1.01 * widths[1200.0], 1200.0)):
+        found = advise(model, single_load, state, TARGET, REGION, WARNING_C, half_width_k=asked_k)
+        assert not found.reached
+        assert found.next_step is not None
+        assert found.next_step.duration_s <= duration_s
+        assert found.next_step.cautious_half_width_k[name] <= 1.03 * asked_k
+    for asked_k, reached in ((0.99 * now_k, False), (now_k, True)):
+        found = advise(model, single_load, state, TARGET, REGION, WARNING_C, half_width_k=asked_k)
+        assert found.reached is reached
+        assert (found.next_step is None) is reached
+    with pytest.raises(ValueError, match="half_width_k is 0"):
+        advise(model, single_load, state, TARGET, REGION, WARNING_C, half_width_k=0.0)
+
+
+def test_beyond_the_speeds_that_were_run_the_promise_keeps_the_tail_of_the_speed_law(
+    model: ThermalModel, state: MachineState
+) -> None:
+    """The linear prediction alone would have ten minutes at a slower speed narrow it."""
+    slow = trained_on(model, (OperatingSpan(2400.0, 2650.0, 3600.0, 0.0),))
+    target, region = Step(6200.0, 2650.0, 7200.0), LowRiskRegion(2450.0, 3400.0)
+    design = Design(model, slow, state, SENSORS, SENSORS, target)
+    found = advise(model, slow, state, target, region, WARNING_C)
+    for step in found.steps:
+        linear_k = 1.96 * design.after(step.levels).shifted_std_k[0]
+        promised_k = step.cautious_half_width_k["t_inner_ring_c"]
+        now_k = found.now["t_inner_ring_c"].half_width_k
+        assert promised_k == pytest.approx(now_k) or promised_k > 1.5 * linear_k
 
 
 # ---------------------------------------------------------------------------- what is refused
@@ -238,7 +297,7 @@ def test_speed_and_load_are_never_changed_at_once(advice: Advice) -> None:
     ],
 )
 def test_one_thing_at_a_time(levels: list[tuple[float, float]], allowed: bool) -> None:
-    step = [Level(speed, load, 2700.0) for speed, load in levels]
+    step = [Step(speed, load, 2700.0) for speed, load in levels]
     assert (why_not(step, TRAINED) is None) == allowed
 
 
@@ -265,7 +324,9 @@ def test_a_hot_machine_may_cool_down_on_the_step(
     )
     cool = {step.levels for step in found.steps if step.levels[-1].load_n < 2000.0}
     # two hours at a light load are enough to cool down, and no reason to refuse the step
-    assert {levels for levels in cool if len(levels) == 2} <= {s.levels for s in from_hot.steps}
+    lasting = {levels for levels in cool if sum(level.duration_s for level in levels) >= 7200.0}
+    assert lasting
+    assert lasting <= {s.levels for s in from_hot.steps}
     assert all(step.peak_c["t_inner_ring_c"] < inner + 2.5 for step in from_hot.steps)
     refused = [s for s in from_hot.excluded if "too hot" in s.reason]
     assert any(level.load_n == 3400.0 for step in refused for level in step.levels)
@@ -282,7 +343,7 @@ def test_candidates_stay_inside_the_region() -> None:
 
 
 def test_a_set_point_at_the_edge_of_the_region_is_not_lost_to_noise() -> None:
-    edge = (OperatingPoint(5904.0, 3412.0, 21600.0, 0.0),)
+    edge = (OperatingSpan(5904.0, 3412.0, 21600.0, 0.0),)
     levels = {(step[0].speed_rpm, step[0].load_n) for step in candidates(edge, TARGET, REGION)}
     assert (5800.0, 3400.0) in levels
     assert all(speed <= 5900.0 and load <= 3400.0 for speed, load in levels)
@@ -294,7 +355,7 @@ def test_nothing_identified_and_no_machine_are_named(
     with pytest.raises(NothingIdentifiedError, match="identify first"):
         advise(model, prior_posterior(model), state, TARGET, REGION, WARNING_C)
     with pytest.raises(ValueError, match="expected a positive speed"):
-        advise(model, single_load, state, Level(0.0, 1.0, 60.0), REGION, WARNING_C)
+        advise(model, single_load, state, Step(0.0, 1.0, 60.0), REGION, WARNING_C)
     other = build_model(bearing=bearing("6016"))
     with pytest.raises(ValueError, match="6016"):
         advise(other, single_load, state, TARGET, REGION, WARNING_C)
@@ -306,7 +367,7 @@ def test_the_design_agrees_with_an_identification_of_the_step(
 ) -> None:
     """C' from the derivatives that an identification of the step's data would use."""
     cold = MachineState(np.full(13, 22.0), np.zeros((13, 13)), 0.0, 22.0)
-    step = (Level(5800.0, 2000.0, 2700.0), Level(5800.0, 3400.0, 2700.0))
+    step = (Step(5800.0, 2000.0, 2700.0), Step(5800.0, 3400.0, 2700.0))
     design = Design(model, single_load, cold, SENSORS, SENSORS, TARGET)
     std_k, shifted_k, _, _ = design.after(step)
 
@@ -353,15 +414,15 @@ def test_longer_and_more_varied_steps_never_teach_less(
     model: ThermalModel, single_load: Posterior, state: MachineState
 ) -> None:
     design = Design(model, single_load, state, SENSORS, SENSORS, TARGET)
-    short = design.after((Level(5800.0, 3400.0, 1800.0),)).std_k
-    long = design.after((Level(5800.0, 3400.0, 5400.0),)).std_k
+    short = design.after((Step(5800.0, 3400.0, 1800.0),)).std_k
+    long = design.after((Step(5800.0, 3400.0, 5400.0),)).std_k
     assert np.all(long <= short + 1e-9)
 
 
 def test_the_more_thermometers_the_more_a_step_teaches(
     model: ThermalModel, single_load: Posterior, state: MachineState
 ) -> None:
-    step = (Level(5800.0, 2000.0, 2700.0), Level(5800.0, 3400.0, 2700.0))
+    step = (Step(5800.0, 2000.0, 2700.0), Step(5800.0, 3400.0, 2700.0))
     more, both, outer, none = (
         Design(model, single_load, state, SENSORS, measured, TARGET).after(step)[0]
         for measured in (

@@ -11,7 +11,7 @@ from twin_core.forecasting import QUANTILE_LEVELS, Forecast, forecast
 from twin_core.identification.posterior import Posterior, TrainedRange, prior_posterior
 from twin_core.machine_state import MachineState
 from twin_core.models import ThermalModel, build_model
-from twin_core.operating_points import OperatingPoint
+from twin_core.operating_points import OperatingSpan
 from twin_core.simulation import OperatingProfile, simulate, steady_state
 
 SENSORS = ("t_inner_ring_c", "t_outer_ring_c")
@@ -125,7 +125,7 @@ def test_a_load_beyond_the_trained_ones_widens_the_band_by_its_distance(model, k
     profile = hold(4200.0, 5500.0, 241)
     width = {}
     for load_n in (2650.0, 5500.0):
-        point = OperatingPoint(4200.0, load_n, 3600.0, 0.0)
+        point = OperatingSpan(4200.0, load_n, 3600.0, 0.0)
         trained = replace(known, trained=TrainedRange((point,), 60, True, 0.0))
         made = forecast(
             model, trained, MachineState(state, covariance, RUN_IN, 22.0), profile, members=1000

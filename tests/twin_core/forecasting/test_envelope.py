@@ -27,11 +27,6 @@ COLD = MachineState(np.full(13, AMBIENT_C), np.zeros((13, 13)), RUN_IN, AMBIENT_
 
 
 @pytest.fixture(scope="module")
-def model() -> ThermalModel:
-    return build_model(bearing=bearing("6311"))
-
-
-@pytest.fixture(scope="module")
 def prior(model: ThermalModel) -> Posterior:
     return prior_posterior(model)
 

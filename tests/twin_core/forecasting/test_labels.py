@@ -19,7 +19,7 @@ from twin_core.identification.identifiability import Verdict
 from twin_core.identification.posterior import Posterior, TrainedRange, prior_posterior
 from twin_core.models import build_model
 from twin_core.network_model import RunawayLimits
-from twin_core.operating_points import OperatingPoint
+from twin_core.operating_points import OperatingSpan
 from twin_core.simulation import OperatingProfile
 
 
@@ -28,7 +28,7 @@ def trained_at(*points: tuple[float, float]) -> Posterior:
     return replace(
         prior,
         trained=TrainedRange(
-            tuple(OperatingPoint(rpm, newton, 3600.0, 0.0) for rpm, newton in points), minutes=60
+            tuple(OperatingSpan(rpm, newton, 3600.0, 0.0) for rpm, newton in points), minutes=60
         ),
     )
 
@@ -91,11 +91,11 @@ def test_a_law_of_the_network_itself_is_no_priors() -> None:
 
 def test_varying_duty_is_judged_by_what_its_data_say() -> None:
     """Loads that never lasted: taught if the data inform the law, or hold several and say a bit."""
-    brief = tuple(OperatingPoint(3000.0, load, 300.0, 0.0) for load in (1000.0, 2000.0, 3000.0))
+    brief = tuple(OperatingSpan(3000.0, load, 300.0, 0.0) for load in (1000.0, 2000.0, 3000.0))
     long = tuple(replace(point, duration_s=1500.0) for point in brief)
     heavier = ahead(3000.0, 4000.0)
 
-    def labels(duty: tuple[OperatingPoint, ...], load: Verdict) -> tuple[str, ...]:
+    def labels(duty: tuple[OperatingSpan, ...], load: Verdict) -> tuple[str, ...]:
         posterior = trained_at()
         varied = replace(posterior.trained, duty=duty)
         laws: dict[Law, Verdict | None] = {"load": load, "speed": "informed"}

@@ -11,7 +11,7 @@ from twin_core.identification.posterior import prior_posterior
 from twin_core.kalman import DISTURBANCE_TIME_S
 from twin_core.machine_state import MachineState
 from twin_core.models import ThermalModel, build_model
-from twin_core.profiles import OperatingPoint
+from twin_core.profiles import Point
 from twin_core.simulation import (
     OperatingProfile,
     OperatingProfiles,
@@ -40,8 +40,8 @@ def values(model: ThermalModel) -> np.ndarray:
 def states(model: ThermalModel) -> list[MachineState]:
     """Warm machines that run at 3000 rpm; one stands, one has not been followed."""
     rng = np.random.default_rng(4)
-    points = [OperatingPoint(3000.0, 2650.0, 22.0)] * MACHINES
-    known: list[OperatingPoint | None] = [*points[:4], OperatingPoint(0.0, 0.0, 22.0), None]
+    points = [Point(3000.0, 2650.0, 22.0)] * MACHINES
+    known: list[Point | None] = [*points[:4], Point(0.0, 0.0, 22.0), None]
     return [
         MachineState(
             40.0 + rng.normal(0.0, 5.0, 13),

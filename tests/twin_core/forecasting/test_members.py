@@ -10,7 +10,7 @@ from twin_core.identification.posterior import prior_posterior
 from twin_core.kalman import DISTURBANCE_TIME_S
 from twin_core.machine_state import MachineState
 from twin_core.models import ThermalModel, build_model
-from twin_core.profiles import OperatingPoint
+from twin_core.profiles import Point
 from twin_core.simulation import OperatingProfile, simulate_batch, steady_state
 
 HEAVY = (5000.0, 5500.0, 22.0)
@@ -42,7 +42,7 @@ def test_nothing_grows_hotter_in_a_stop(
     result = forecast(
         model,
         prior_posterior(model),
-        MachineState(hot, 0.01 * np.eye(13), RUN_IN, 22.0, operating_point=OperatingPoint(*HEAVY)),
+        MachineState(hot, 0.01 * np.eye(13), RUN_IN, 22.0, operating_point=Point(*HEAVY)),
         profile(*speeds_rpm),
     )
     inner = result.members_c[:, :, result.sensors.index("t_inner_ring_c")]
@@ -88,7 +88,7 @@ def test_a_member_that_runs_away_before_the_stop_is_lost_as_a_whole(model: Therm
 
 
 def test_a_machine_goes_on_if_it_keeps_running_or_standing() -> None:
-    assert goes_on_as(OperatingPoint(*HEAVY), profile(1500.0))
-    assert goes_on_as(OperatingPoint(0.0, 0.0, 22.0), profile(0.0))
-    assert not goes_on_as(OperatingPoint(*HEAVY), profile(0.0))
-    assert not goes_on_as(OperatingPoint(0.0, 0.0, 22.0), profile(1500.0))
+    assert goes_on_as(Point(*HEAVY), profile(1500.0))
+    assert goes_on_as(Point(0.0, 0.0, 22.0), profile(0.0))
+    assert not goes_on_as(Point(*HEAVY), profile(0.0))
+    assert not goes_on_as(Point(0.0, 0.0, 22.0), profile(1500.0))

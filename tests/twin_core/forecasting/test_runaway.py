@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from twin_core.bearings import bearing
-from twin_core.forecasting.design import Level, held_profile
+from twin_core.forecasting.design import held_profile
 from twin_core.forecasting.envelope import envelope
 from twin_core.forecasting.labels import runaway_not_excluded
 from twin_core.forecasting.margins import heaviest_margin, runaway_margin
@@ -16,7 +16,8 @@ from twin_core.identification.posterior import Posterior, TrainedRange, prior_po
 from twin_core.machine_state import MachineState
 from twin_core.models import ThermalModel, build_model
 from twin_core.network_model import RunawayLimits
-from twin_core.operating_points import OperatingPoint
+from twin_core.operating_points import OperatingSpan
+from twin_core.profiles import Step
 from twin_core.simulation import heat_balance_slopes_w_k, steady_state
 
 AMBIENT_C = 22.0
@@ -35,7 +36,7 @@ def machine(model: ThermalModel, q: float, spread: float = 0.0, moment: float = 
     z = prior.z.copy()
     z[model.parameters.index("q")] = q
     z[model.parameters.index("M0")] = moment
-    point = OperatingPoint(5800.0, 2650.0, 21600.0, 0.0)
+    point = OperatingSpan(5800.0, 2650.0, 21600.0, 0.0)
     return replace(
         prior,
         z=z,
@@ -112,9 +113,9 @@ def test_a_search_for_the_load_finds_what_all_loads_tell(model: ThermalModel) ->
 def test_the_margin_of_a_profile_is_that_of_its_heaviest_point(model: ThermalModel) -> None:
     known = machine(model, -2.5, spread=0.35, moment=1.0)
     levels = [
-        Level(5800.0, 2650.0, 3600.0),
-        Level(-5000.0, 7000.0, 600.0),
-        Level(0.0, 9000.0, 600.0),
+        Step(5800.0, 2650.0, 3600.0),
+        Step(-5000.0, 7000.0, 600.0),
+        Step(0.0, 9000.0, 600.0),
     ]
     ahead = held_profile(levels, AMBIENT_C)
     assert heaviest_margin(model, known, COLD, ahead) == runaway_margin(

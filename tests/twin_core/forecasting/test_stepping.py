@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from twin_core.bearings import bearing
-from twin_core.forecasting.design import Level
 from twin_core.forecasting.envelope import envelope
 from twin_core.forecasting.stepping import (
     LARGEST_RATIO,
@@ -16,7 +15,8 @@ from twin_core.forecasting.stepping import (
 from twin_core.identification.posterior import Posterior, TrainedRange, prior_posterior
 from twin_core.machine_state import MachineState
 from twin_core.models import ThermalModel, build_model
-from twin_core.operating_points import OperatingPoint
+from twin_core.operating_points import OperatingSpan
+from twin_core.profiles import Step
 
 ALARM_C = {"t_inner_ring_c": 105.0, "t_outer_ring_c": 95.0}
 STATE = MachineState(np.full(13, 40.0), 0.2**2 * np.eye(13), 1.0e7, 22.0)
@@ -31,9 +31,9 @@ def model() -> ThermalModel:
 def trained(model: ThermalModel) -> Posterior:
     prior = prior_posterior(model)
     points = (
-        OperatingPoint(1500.0, 3300.0, 3600.0, 0.0),
-        OperatingPoint(4200.0, 2000.0, 3600.0, 3600.0),
-        OperatingPoint(4200.0, 3000.0, 3600.0, 7200.0),
+        OperatingSpan(1500.0, 3300.0, 3600.0, 0.0),
+        OperatingSpan(4200.0, 2000.0, 3600.0, 3600.0),
+        OperatingSpan(4200.0, 3000.0, 3600.0, 7200.0),
     )
     z = prior.z.copy()
     z[model.parameters.index("M0")] = 1.5
@@ -74,7 +74,7 @@ def test_a_lighter_point_is_reached_in_one_go(trained: Posterior) -> None:
 
 
 def test_edges_are_those_of_the_envelope(model: ThermalModel, trained: Posterior) -> None:
-    (step,) = stepping_plan(model, trained, STATE, Level(4200.0, 3600.0, 7200.0), ALARM_C)
+    (step,) = stepping_plan(model, trained, STATE, Step(4200.0, 3600.0, 7200.0), ALARM_C)
     found = envelope(
         model,
         trained,
@@ -95,7 +95,7 @@ def test_edges_are_those_of_the_envelope(model: ThermalModel, trained: Posterior
 def test_the_way_ends_before_the_first_level_that_may_pass_the_limit(
     model: ThermalModel, trained: Posterior
 ) -> None:
-    target = Level(4200.0, 7000.0, 7200.0)
+    target = Step(4200.0, 7000.0, 7200.0)
     free = stepping_plan(model, trained, STATE, target, {})
     assert all(step.allowed for step in free)
     edges = [step.stop_above_c["t_inner_ring_c"] for step in free]

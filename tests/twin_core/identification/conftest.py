@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from twin_core.bearings import bearing
 from twin_core.identification.data import IdentificationData, IdentificationWindow
-from twin_core.models import ThermalModel, build_model
+from twin_core.models import ThermalModel
 from twin_core.simulation import OperatingProfile, simulate
 from twin_core.windows import MinuteData
 
@@ -21,11 +20,6 @@ LOW_RISK: tuple[Stage, ...] = (
     (40, 4200.0, 2650.0),
     (40, 4200.0, 3300.0),
 )
-
-
-@pytest.fixture(scope="session")
-def model() -> ThermalModel:
-    return build_model(bearing=bearing("6311"))
 
 
 @pytest.fixture(scope="session")

@@ -10,7 +10,7 @@ from numpy.testing import assert_array_equal
 
 from twin_core.identification.checkpoint import CheckpointMismatchError
 from twin_core.identification.data import IdentificationData, IdentificationWindow
-from twin_core.identification.identify import IdentificationResult, identify
+from twin_core.identification.identify import FitSettings, IdentificationResult, identify
 from twin_core.identification.refinement import IdentificationCancelled
 from twin_core.identification.stopping import StoppingCriteria
 from twin_core.models import ThermalModel
@@ -48,14 +48,16 @@ def assert_same(one: IdentificationResult, other: IdentificationResult) -> None:
 def whole(model: ThermalModel, cold_start: IdentificationData) -> tuple[IdentificationResult, int]:
     """The uninterrupted identification, and how many checkpoints it offers."""
     kept, save = cut_after(0)
-    found = identify(model, cold_start, budget=BUDGET, seed=4, samples=20, save=save)
+    found = identify(model, cold_start, FitSettings(budget=BUDGET, seed=4, samples=20), save=save)
     return found, len(kept)
 
 
 def test_saving_changes_nothing(
     model: ThermalModel, cold_start: IdentificationData, whole: tuple[IdentificationResult, int]
 ) -> None:
-    assert_same(identify(model, cold_start, budget=BUDGET, seed=4, samples=20), whole[0])
+    assert_same(
+        identify(model, cold_start, FitSettings(budget=BUDGET, seed=4, samples=20)), whole[0]
+    )
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.6, 0.8, 1.0])
@@ -69,9 +71,12 @@ def test_resumed_it_is_bit_for_bit_the_uninterrupted_one(
     found, checkpoints = whole
     kept, save = cut_after(1 + round(share * (checkpoints - 1)))
     with pytest.raises(Interrupted):
-        identify(model, cold_start, budget=BUDGET, seed=4, samples=20, save=save)
+        identify(model, cold_start, FitSettings(budget=BUDGET, seed=4, samples=20), save=save)
     resumed = identify(
-        model, cold_start, budget=BUDGET, seed=4, samples=20, resume=json.loads(kept[-1])
+        model,
+        cold_start,
+        FitSettings(budget=BUDGET, seed=4, samples=20),
+        resume=json.loads(kept[-1]),
     )
     assert_same(resumed, found)
 
@@ -83,10 +88,17 @@ def test_cut_short_again_and_again_it_arrives_all_the_same(
     for _ in range(4):
         kept, save = cut_after(2)
         with pytest.raises(Interrupted):
-            identify(model, cold_start, budget=BUDGET, seed=4, samples=20, save=save, resume=resume)
+            identify(
+                model,
+                cold_start,
+                FitSettings(budget=BUDGET, seed=4, samples=20),
+                save=save,
+                resume=resume,
+            )
         resume = json.loads(kept[-1])
     assert_same(
-        identify(model, cold_start, budget=BUDGET, seed=4, samples=20, resume=resume), whole[0]
+        identify(model, cold_start, FitSettings(budget=BUDGET, seed=4, samples=20), resume=resume),
+        whole[0],
     )
 
 
@@ -98,15 +110,16 @@ def test_cancelled_it_can_be_resumed(
         identify(
             model,
             cold_start,
-            budget=BUDGET,
-            seed=4,
-            samples=20,
+            FitSettings(budget=BUDGET, seed=4, samples=20),
             save=save,
             cancelled=lambda: len(kept) >= 3,
         )
     assert len(kept) == 3
     resumed = identify(
-        model, cold_start, budget=BUDGET, seed=4, samples=20, resume=json.loads(kept[-1])
+        model,
+        cold_start,
+        FitSettings(budget=BUDGET, seed=4, samples=20),
+        resume=json.loads(kept[-1]),
     )
     assert_same(resumed, whole[0])
 
@@ -114,14 +127,12 @@ def test_cancelled_it_can_be_resumed(
 def test_progress_goes_on_where_it_was(model: ThermalModel, cold_start: IdentificationData) -> None:
     kept, save = cut_after(4)
     with pytest.raises(Interrupted):
-        identify(model, cold_start, method="noa", budget=BUDGET, save=save)
+        identify(model, cold_start, FitSettings(method="noa", budget=BUDGET), save=save)
     fractions: list[float] = []
     identify(
         model,
         cold_start,
-        method="noa",
-        budget=BUDGET,
-        samples=0,
+        FitSettings(method="noa", budget=BUDGET, samples=0),
         progress=lambda told: fractions.append(told.fraction),
         resume=json.loads(kept[-1]),
     )
@@ -144,10 +155,12 @@ def test_another_order_is_refused(
 ) -> None:
     kept, save = cut_after(1)
     with pytest.raises(Interrupted):
-        identify(model, cold_start, budget=BUDGET, seed=4, save=save)
+        identify(model, cold_start, FitSettings(budget=BUDGET, seed=4), save=save)
     order: dict[str, Any] = {"budget": BUDGET, "seed": 4} | other
+    guess_z = order.pop("guess_z", None)
+    fit, saved = FitSettings(**order), json.loads(kept[0])
     with pytest.raises(CheckpointMismatchError, match=named):
-        identify(model, cold_start, **order, resume=json.loads(kept[0]))
+        identify(model, cold_start, fit, guess_z=guess_z, resume=saved)
 
 
 def test_other_data_are_refused(
@@ -158,10 +171,10 @@ def test_other_data_are_refused(
 ) -> None:
     kept, save = cut_after(1)
     with pytest.raises(Interrupted):
-        identify(model, cold_start, budget=BUDGET, save=save)
+        identify(model, cold_start, FitSettings(budget=BUDGET), save=save)
     minutes = synthesise(true_z, noise_k=0.1, seed=1)
     other = IdentificationData((IdentificationWindow(minutes, at_rest=True),))
     with pytest.raises(CheckpointMismatchError, match="another data or model"):
-        identify(model, other, budget=BUDGET, resume=json.loads(kept[0]))
+        identify(model, other, FitSettings(budget=BUDGET), resume=json.loads(kept[0]))
     with pytest.raises(CheckpointMismatchError, match="not the checkpoint"):
-        identify(model, other, budget=BUDGET, resume={"fraction": 0.5})
+        identify(model, other, FitSettings(budget=BUDGET), resume={"fraction": 0.5})

@@ -8,7 +8,7 @@ import pytest
 
 from twin_core.identification.data import IdentificationData, IdentificationWindow
 from twin_core.identification.gates import judge
-from twin_core.identification.identify import identify
+from twin_core.identification.identify import FitSettings, identify
 from twin_core.identification.posterior import TrainedRange, prior_posterior
 from twin_core.identification.prediction_tests import predict_rows, prediction_tests
 from twin_core.identification.refinement import IdentificationCancelled
@@ -20,7 +20,7 @@ def at_rest(*windows) -> IdentificationData:  # type: ignore[no-untyped-def]
 
 @pytest.fixture(scope="module")
 def candidate(model, cold_start):  # type: ignore[no-untyped-def]
-    return identify(model, cold_start, method="refine", samples=0)
+    return identify(model, cold_start, FitSettings(method="refine", samples=0))
 
 
 def test_leaves_out_the_most_demanding_and_the_latest_point(synthesise, true_z) -> None:  # type: ignore[no-untyped-def]
@@ -108,7 +108,7 @@ def test_an_active_model_that_knows_the_truth_is_not_replaced(
 def test_more_varied_data_win_a_tie(model, cold_start, candidate) -> None:  # type: ignore[no-untyped-def]
     """Re-identification with an added load stage; the active model comes from the part before."""
     before = at_rest(cold_start.windows[0].minutes.take(slice(0, 83)))
-    active = identify(model, before, method="refine", samples=0).posterior
+    active = identify(model, before, FitSettings(method="refine", samples=0)).posterior
     report = judge(model, cold_start, candidate, active=active)
     assert report.accepted, report.reason
     scores = report.scores["extrapolation"]
@@ -151,7 +151,7 @@ def test_systematic_residuals_are_refused(model, synthesise, true_z) -> None:  #
     rows = synthesise(true_z)
     rows.temperatures_c["t_outer_ring_c"][:] += 4.0 * np.sin(rows.time_s / 700.0)
     data = at_rest(rows)
-    result = identify(model, data, method="refine", samples=0)
+    result = identify(model, data, FitSettings(method="refine", samples=0))
     report = judge(model, data, result, active=prior_posterior(model))
     check = {check.name: check for check in report.checks}["residuals"]
     assert not check.passed

@@ -11,8 +11,8 @@ from numpy.testing import assert_allclose
 from twin_core.bearings import bearing
 from twin_core.identification.data import IdentificationData, IdentificationWindow
 from twin_core.identification.identifiability import (
-    Combination,
     Identifiability,
+    ParameterCombination,
     identifiability,
     of_covariance,
     of_sensitivities,
@@ -102,9 +102,9 @@ def test_weights_are_spelled_out_largest_first_and_positive() -> None:
 
 def test_the_text_leaves_out_small_weights_but_never_the_largest() -> None:
     many = {"a": 0.6, "b": -0.5, "c": 0.4, "d": 0.3, "e": 0.25, "f": 0.22, "g": 0.1}
-    text = Combination(1.0, 0.7, "weak", many).text
+    text = ParameterCombination(1.0, 0.7, "weak", many).text
     assert text == "0.60 a - 0.50 b + 0.40 c + 0.30 d + 0.25 e"
-    assert Combination(1.0, 0.7, "weak", {"a": 0.19, "b": 0.18}).text == "0.19 a"
+    assert ParameterCombination(1.0, 0.7, "weak", {"a": 0.19, "b": 0.18}).text == "0.19 a"
 
 
 @given(seed=st.integers(0, 10**6), rows=st.integers(1, 12), nuisances=st.integers(0, 3))

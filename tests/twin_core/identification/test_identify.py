@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 
 from twin_core.identification.data import IdentificationData, IdentificationWindow
-from twin_core.identification.identify import Progress, default_budget, identify
+from twin_core.identification.identify import (
+    FitSettings,
+    IdentificationProgress,
+    default_budget,
+    identify,
+)
 from twin_core.identification.problem import IdentificationProblem
 from twin_core.identification.refinement import IdentificationCancelled
 from twin_core.models import ThermalModel
@@ -23,8 +28,8 @@ def steady_inner_ring(model: ThermalModel, z: np.ndarray, speed_rpm: float, load
 
 @pytest.fixture(scope="module")
 def result(model, cold_start):  # type: ignore[no-untyped-def]
-    told: list[Progress] = []
-    found = identify(model, cold_start, budget=300, seed=3, progress=told.append)
+    told: list[IdentificationProgress] = []
+    found = identify(model, cold_start, FitSettings(budget=300, seed=3), progress=told.append)
     return found, told
 
 
@@ -67,7 +72,7 @@ def test_progress_never_falls_and_ends_at_one(result) -> None:  # type: ignore[n
 
 
 def test_same_seed_same_result(model, cold_start, result) -> None:  # type: ignore[no-untyped-def]
-    again = identify(model, cold_start, budget=300, seed=3)
+    again = identify(model, cold_start, FitSettings(budget=300, seed=3))
     np.testing.assert_array_equal(again.unknowns, result[0].unknowns)
     np.testing.assert_array_equal(again.posterior.samples, result[0].posterior.samples)
     assert again.history == result[0].history
@@ -84,14 +89,14 @@ def test_samples_scatter_like_the_posterior(model, result) -> None:  # type: ign
 
 
 def test_search_alone_uses_its_budget_and_refinement_beats_it(model, cold_start, result) -> None:  # type: ignore[no-untyped-def]
-    searched = identify(model, cold_start, method="noa", budget=300, seed=3, samples=0)
+    searched = identify(model, cold_start, FitSettings(method="noa", budget=300, seed=3, samples=0))
     assert searched.posterior.samples.shape == (0, model.parameters.size)
     assert list(searched.starts) == ["search"]
     assert searched.best_fitness > 2.0 * result[0].best_fitness
 
 
 def test_the_fitness_is_that_of_the_unknowns_found(model, cold_start, result) -> None:  # type: ignore[no-untyped-def]
-    searched = identify(model, cold_start, method="noa", budget=300, seed=3, samples=0)
+    searched = identify(model, cold_start, FitSettings(method="noa", budget=300, seed=3, samples=0))
     problem = IdentificationProblem(model, cold_start)
     for found in (searched, result[0]):
         residuals = problem.residuals(found.unknowns)[0]
@@ -103,7 +108,9 @@ def test_a_search_that_nothing_follows_takes_longer_by_default() -> None:
 
 
 def test_refinement_without_search(model, cold_start, result) -> None:  # type: ignore[no-untyped-def]
-    refined = identify(model, cold_start, method="refine", samples=0, guess_z=np.zeros(24))
+    refined = identify(
+        model, cold_start, FitSettings(method="refine", samples=0), guess_z=np.zeros(24)
+    )
     assert set(refined.starts) == {"prior", "guess", "random 1", "random 2"}
     assert refined.best_fitness == pytest.approx(result[0].best_fitness, rel=1e-3)
 
@@ -118,14 +125,12 @@ def test_a_window_that_begins_warm_needs_no_assumption_about_ambient(
     honest = identify(
         model,
         IdentificationData((IdentificationWindow(warm, at_rest=False, revolutions=1.0e5),)),
-        method="refine",
-        samples=0,
+        FitSettings(method="refine", samples=0),
     )
     wrong = identify(
         model,
         IdentificationData((IdentificationWindow(warm, at_rest=True, revolutions=1.0e5),)),
-        method="refine",
-        samples=0,
+        FitSettings(method="refine", samples=0),
     )
     assert honest.status == "converged"
     assert max(honest.posterior.train_rms_k.values()) < 0.15
@@ -144,8 +149,7 @@ def test_two_windows_inform_more_than_one(model, true_z, synthesise, result) -> 
         IdentificationData(
             (IdentificationWindow(first, at_rest=True), IdentificationWindow(second, at_rest=True))
         ),
-        method="refine",
-        samples=0,
+        FitSettings(method="refine", samples=0),
     )
     assert both.status == "converged"
     one = np.linalg.slogdet(result[0].posterior.covariance)[1]
@@ -157,19 +161,19 @@ def test_data_that_no_machine_gives_are_a_failed_fit(model, true_z, synthesise) 
     minutes.temperatures_c["t_outer_ring_c"][:] = minutes.temperatures_c[
         "t_inner_ring_c"
     ] + 12.0 * np.sin(minutes.time_s / 600.0)
-    found = identify(model, at_rest(minutes), method="refine", samples=0)
+    found = identify(model, at_rest(minutes), FitSettings(method="refine", samples=0))
     assert found.status == "failed fit"
     assert "expected at most" in found.reason
 
 
 def test_cancellation_in_search_and_in_refinement(model, cold_start) -> None:  # type: ignore[no-untyped-def]
     for phase in ("search", "refinement"):
-        seen: list[Progress] = []
+        seen: list[IdentificationProgress] = []
         with pytest.raises(IdentificationCancelled):
             identify(
                 model,
                 cold_start,
-                budget=200,
+                FitSettings(budget=200),
                 progress=seen.append,
                 cancelled=lambda seen=seen, phase=phase: bool(seen) and seen[-1].phase == phase,
             )
@@ -178,9 +182,9 @@ def test_cancellation_in_search_and_in_refinement(model, cold_start) -> None:  #
 
 def test_senseless_orders_are_refused(model, cold_start) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(ValueError, match="noa\\+refine"):
-        identify(model, cold_start, method="pso")  # type: ignore[arg-type]
+        identify(model, cold_start, FitSettings(method="pso"))  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="at least the population"):
-        identify(model, cold_start, budget=10)
+        identify(model, cold_start, FitSettings(budget=10))
 
 
 def test_the_papers_model_is_identified_too(cold_start) -> None:  # type: ignore[no-untyped-def]
@@ -188,7 +192,7 @@ def test_the_papers_model_is_identified_too(cold_start) -> None:  # type: ignore
     from twin_core.models import build_model
 
     paper = build_model("paper", bearing=bearing("6311"))
-    found = identify(paper, cold_start, budget=200, samples=20)
+    found = identify(paper, cold_start, FitSettings(budget=200, samples=20))
     assert found.posterior.z.size == 15
     assert found.posterior.samples.shape == (20, 15)
     assert max(found.posterior.train_rms_k.values()) < 2.0

@@ -17,7 +17,7 @@ from twin_core.identification.posterior import (
 )
 from twin_core.identification.problem import IdentificationProblem
 from twin_core.models import build_model
-from twin_core.operating_points import OperatingPoint
+from twin_core.operating_points import OperatingSpan
 
 
 def test_covariance_is_the_inverse_information(model, cold_start) -> None:  # type: ignore[no-untyped-def]
@@ -73,10 +73,10 @@ def test_prior_is_not_identified_and_knows_no_operating_point(model) -> None:  #
 def test_trained_range_counts_lasting_points_only() -> None:
     trained = TrainedRange(
         (
-            OperatingPoint(1500.0, 2650.0, 3600.0, 0.0),
-            OperatingPoint(4200.0, 2700.0, 3600.0, 3600.0),
-            OperatingPoint(4200.0, 3300.0, 600.0, 7200.0),
-            OperatingPoint(4300.0, 2000.0, 1800.0, 7800.0),
+            OperatingSpan(1500.0, 2650.0, 3600.0, 0.0),
+            OperatingSpan(4200.0, 2700.0, 3600.0, 3600.0),
+            OperatingSpan(4200.0, 3300.0, 600.0, 7200.0),
+            OperatingSpan(4300.0, 2000.0, 1800.0, 7800.0),
         ),
         minutes=160,
     )

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from adapters.virtual_bench.families import random_bench
-from service.lab.studies.bench_runs import Stage, identify_twin, run_bench
+from bearing_twin_laboratory.studies.bench_runs import Stage, identify_twin, run_bench
 from twin_core.identification import IdentificationData, IdentificationWindow
 from twin_core.identification.gates import judge
 from twin_core.identification.posterior import prior_posterior

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from twin_core.identification.data import IdentificationData
-from twin_core.identification.identify import identify
+from twin_core.identification.identify import FitSettings, identify
 from twin_core.identification.problem import IdentificationProblem
 from twin_core.identification.searching import IdentificationSpace, SearchEnd, SearchSpace
 from twin_core.models import ThermalModel
@@ -75,10 +75,14 @@ def test_another_search_takes_the_place_of_noa(
             space.costs(rng.random((5, space.dimensions)))
 
     searched = identify(
-        model, cold_start, method="noa", budget=60, seed=3, samples=0, search=random_points
+        model,
+        cold_start,
+        FitSettings(method="noa", budget=60, seed=3, samples=0, search=random_points),
     )
     assert sum(asked) == 65  # the last batch is refused
     assert list(searched.starts) == ["search"]
-    refined = identify(model, cold_start, budget=60, seed=3, samples=0, search=random_points)
+    refined = identify(
+        model, cold_start, FitSettings(budget=60, seed=3, samples=0, search=random_points)
+    )
     assert set(refined.starts) == {"search", "prior", "random 1"}
     assert refined.best_fitness < 0.5 * searched.best_fitness

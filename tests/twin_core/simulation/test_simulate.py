@@ -8,7 +8,7 @@ from scipy.linalg import expm
 
 from twin_core.bearings import bearing
 from twin_core.models import ThermalModel, build_model
-from twin_core.profiles import OperatingPoint
+from twin_core.profiles import Point
 from twin_core.simulation import (
     OperatingProfile,
     SimulationError,
@@ -303,19 +303,20 @@ def test_advancing_gives_what_simulating_two_rows_gives(default: ThermalModel) -
     for speed_rpm, load_n, duration_s in ((2400.0, 2650.0, 1.0), (-900.0, -5.0, 150.0)):
         rows = (np.array([0.0, duration_s]), *(np.full(2, x) for x in (speed_rpm, load_n, 22.0)))
         path = simulate(default, values, OperatingProfile(*rows), temperatures, turned)
-        point = OperatingPoint(speed_rpm, load_n, 22.0)
-        temperatures, turned = advance(default, values, point, duration_s, temperatures, turned)
+        # Next to others: one that runs away, and one whose point is not finite.
+        point, hot = Point(speed_rpm, load_n, 22.0), np.full(temperatures.shape, 1e6)
+        points = [point, point, Point(np.nan, 1.0, 1.0)]
+        starts, turns = [temperatures, hot, temperatures], [turned, 0.0, 0.0]
+        ends, after = advance(default, [values] * 3, points, [duration_s] * 3, starts, turns)
+        temperatures, turned = ends[0], float(after[0])
         np.testing.assert_array_equal(temperatures, path.temperatures_c[-1])
         assert turned == path.revolutions[-1]
-    hot = np.full(temperatures.shape, 1e6)
-    with pytest.raises(SimulationError, match="ran away"):
-        advance(default, values, point, 1.0, hot, 0.0)
+        assert np.isnan(ends[1:]).all()
     with pytest.raises(ValueError, match="one per state node"):
-        advance(default, values, point, 1.0, hot[1:], 0.0)
-    with pytest.raises(ValueError, match="finite"):
-        advance(default, values, OperatingPoint(np.nan, 1.0, 1.0), 1.0, temperatures, 0.0)
+        advance(default, [values], [point], [1.0], [hot[1:]], [0.0])
+    other = Point(1.0, 1.0, 1.0, (1.0,))
     with pytest.raises(ValueError, match="inputs has 1 columns"):
-        advance(default, values, OperatingPoint(1.0, 1.0, 1.0, (1.0,)), 1.0, temperatures, 0.0)
+        advance(default, [values], [other], [1.0], [temperatures], [0.0])
 
 
 def test_a_run_away_candidate_is_named(default: ThermalModel) -> None:

@@ -28,14 +28,14 @@ void instance_restore(Instance *instance, const State *state)
     instance->has_parameters = instance->has_point = instance->has_modes = 0;
 }
 
-static void begin_anew(State *state)
+static void restart(State *state)
 {
     int i;
 
     for (i = 0; i < NODES; i++)
         state->motion.temperature[i] = state->initial[0];
     state->motion.revolutions = state->initial[1];
-    state->motion.step = 0.0;
+    state->motion.step = state->motion.coarse = 0.0;
 }
 
 void instance_reset(Instance *instance)
@@ -46,7 +46,7 @@ void instance_reset(Instance *instance)
     memcpy(state.input, INPUT_START, sizeof state.input);
     memcpy(state.parameter, PARAMETER_START, sizeof state.parameter);
     memcpy(state.initial, INITIAL_START, sizeof state.initial);
-    begin_anew(&state);
+    restart(&state);
     instance_restore(instance, &state);
 }
 
@@ -145,12 +145,13 @@ int instance_set(Instance *instance, unsigned reference, double value)
         state->input[input] = value;
     } else if (reference >= FIRST_PARAMETER && reference < FIRST_PARAMETER + PARAMETERS) {
         state->parameter[reference - FIRST_PARAMETER] = value;
+        state->motion.coarse = 0.0;
         instance->has_parameters = 0;
     } else if (reference == INITIAL_TEMPERATURE || reference == INITIAL_REVOLUTIONS) {
         if (state->initialised)
             return refuse_reference(instance, "can be set before the start only", reference);
         state->initial[reference - INITIAL_TEMPERATURE] = value;
-        begin_anew(state);
+        restart(state);
     } else {
         return refuse_reference(instance, "cannot be set", reference);
     }
@@ -165,8 +166,13 @@ int instance_move(Instance *instance, double duration)
     if (!instance->has_modes && !decompose(&instance->network))
         return instance_refuse(instance, "the network has no modes: parameters out of range");
     instance->has_modes = 1;
-    if (!move(&instance->network, instance->state.input, duration, &instance->state.motion))
+    switch (move(&instance->network, instance->state.input, duration, &instance->state.motion)) {
+    case RUNS_AWAY:
         return instance_refuse(instance, "the temperatures run away");
+    case TOO_FAST:
+        return instance_refuse(instance, "the temperatures change too fast to be followed: "
+                                         "expected parameters between their min and max");
+    }
     instance->state.time += duration;
     return 1;
 }

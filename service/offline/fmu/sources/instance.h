@@ -41,7 +41,7 @@ typedef struct {
     void *environment;
 } Instance;
 
-/* Tells the caller why something is refused; each version of the interface has its own. */
+/* Gives the caller the reason of a refusal; each version of the interface has its own. */
 void report(const Instance *instance, const char *text);
 
 /* NULL where the token is another model's, or without memory. */

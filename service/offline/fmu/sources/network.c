@@ -13,6 +13,8 @@
 
 #define TOLERANCE_K 1e-9
 #define SHORTEST_STEP_S 1e-3
+/* So many of them in a row that are not exact enough: no machine is so fast. */
+#define MOST_COARSE_STEPS 1000
 #define FIRST_STEP_S 0.25
 #define TEMPERATURE_LIMIT_C 2000.0
 
@@ -255,12 +257,15 @@ int move(Network *network, const double *input, double duration, Motion *motion)
             difference[k] = (halves[k] - whole[k]) / 3.0;
         error = largest(network, difference);
         if (!isfinite(error))
-            return 0;
+            return RUNS_AWAY;
         factor = fmin(fmax(0.9 * cbrt(TOLERANCE_K / fmax(error, 1e-300)), 0.2), 4.0);
         if (error > TOLERANCE_K && length > SHORTEST_STEP_S) {
             motion->step = fmax(length * factor, SHORTEST_STEP_S);
             continue;
         }
+        motion->coarse = error > TOLERANCE_K ? motion->coarse + 1.0 : 0.0;
+        if (motion->coarse > MOST_COARSE_STEPS)
+            return largest(network, y) < TEMPERATURE_LIMIT_C ? TOO_FAST : RUNS_AWAY;
         for (k = 0; k < NODES; k++)
             y[k] = halves[k] + difference[k];
         passed = length < left ? passed + length : duration;
@@ -273,11 +278,11 @@ int move(Network *network, const double *input, double duration, Motion *motion)
         for (k = 0; k < NODES; k++)
             total += network->modes[k][i] * y[k];
         if (!isfinite(total) || (!BOUNDLESS_TEMPERATURES && fabs(total) >= TEMPERATURE_LIMIT_C))
-            return 0;
+            return RUNS_AWAY;
         motion->temperature[i] = total;
     }
     motion->revolutions += per_second * duration;
-    return 1;
+    return MOVED;
 }
 
 void slopes(const Network *network, const double *input, const Motion *motion, double *slope)

@@ -58,6 +58,7 @@ typedef struct {
     double temperature[NODES]; /* degC */
     double revolutions;        /* since the grease was fresh */
     double step;               /* s, with which the last steps were taken */
+    double coarse;             /* shortest steps in a row that were not exact enough */
 } Motion;
 
 void apply_parameters(Network *network, const double *parameter);
@@ -68,7 +69,10 @@ void apply_operating_point(Network *network, const double *input);
 /* Modes of the operating point; gives 0 where there are none. */
 int decompose(Network *network);
 
-/* Moves by a time in s; the inputs stay. Gives 0 where the temperatures run away. */
+/* How a motion ended. */
+enum { RUNS_AWAY, MOVED, TOO_FAST };
+
+/* Moves by a time in s; the inputs stay. */
 int move(Network *network, const double *input, double duration, Motion *motion);
 
 /* Slopes of the temperatures in K/s. */

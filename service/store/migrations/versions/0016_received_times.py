@@ -1,4 +1,4 @@
-"""When each sample was received; of those stored before, nobody knows it.
+"""When each sample was received; unknown for those stored before.
 
 A column that may be empty is added without a rewrite of the table, also of its partitions.
 """

@@ -22,7 +22,7 @@ from service.documents.alarms import (
 from service.domain.roles import VIEWER
 from service.domain.times import Instant
 from service.spreadsheets import cell
-from service.store import AlarmTransition, JournalFilter, Store
+from service.store import AlarmJournalPage, JournalFilter, Store
 from service.web.api.access import secured
 from service.web.api.cursors import decode_cursor, encode_cursor, next_link
 from service.web.api.deps import Context, json_response
@@ -36,7 +36,7 @@ _FLUSH_S = 1.0
 _COLUMNS = (
     "time", "class", "asset", "kind", "channel", "limit_level", "priority", "event", "from", "to",
     "who", "comment", "shelved_until", "value", "peak_value", "peak_time", "duration_s", "message",
-    "alarm_id",
+    "alarm_id", "assets",
 )  # fmt: skip
 
 router = APIRouter(prefix="/alarms", tags=["alarms"])
@@ -51,7 +51,7 @@ class JournalPlace(BaseModel):
 @router.get(
     "/journal",
     response_model=AlarmJournalList,
-    summary="Alarm journal",
+    summary="List the alarm journal",
     **secured(
         VIEWER,
         503,
@@ -101,7 +101,7 @@ async def get_journal(
         asset, alarm, start, end, None if line_class is None else line_class == "event"
     )
     # What an operator has just done is in the answer.
-    await context.alarms.flush(_FLUSH_S)
+    await context.cell.flush_alarms(_FLUSH_S)
     turns, caller = turns_of(request), caller_of(request)
     if format == "csv" and limit is None:
         await while_there(request, turns.long_reads.enter(caller))
@@ -114,16 +114,16 @@ async def get_journal(
         following = encode_cursor(JournalPlace(before=page.next_cursor))
     headers = next_link(request, following)
     if format == "csv":
-        text = _csv([_COLUMNS]) + _csv_lines(page.items)
+        text = _csv([_COLUMNS]) + _csv_lines(page)
         return Response(text, media_type=CSV, headers=headers | _FILE)
-    items = [transition_document(line) for line in page.items]
+    items = [transition_document(line, page.units.get(line.alarm_id)) for line in page.items]
     return json_response(AlarmJournalList(items=items, next=following), headers=headers)
 
 
 @router.get(
     "/statistics",
     response_model=AlarmStatistics,
-    summary="Alarm performance: the load of alarms on operators",
+    summary="Get alarm statistics",
     **secured(VIEWER, 503),
 )
 async def get_statistics(
@@ -132,12 +132,12 @@ async def get_statistics(
 ) -> Response:
     """Alarms raised in the last 10 minutes and the last day, the most frequent, those that stay.
 
-    An alarm counts every time that it becomes unacknowledged by itself; process time.
+    An alarm counts every time that it becomes unacknowledged on its own; process time.
     """
-    await context.alarms.flush(_FLUSH_S)
+    await context.cell.flush_alarms(_FLUSH_S)
     now_us = context.clock.now_us()
     counts = await to_thread.run_sync(context.store.alarms.annunciations, now_us, asset)
-    alarms = await context.alarms.active(asset)
+    alarms = await context.cell.open_alarms(asset)
     return json_response(statistics_document(counts, alarms, now_us))
 
 
@@ -149,7 +149,7 @@ async def _pages(
 ) -> AsyncIterator[str]:
     def read(before: int | None) -> tuple[str, int | None]:
         page = store.alarms.journal(wanted, LIMIT_MAX, before)
-        return _csv_lines(page.items), page.next_cursor
+        return _csv_lines(page), page.next_cursor
 
     yield _csv([_COLUMNS])
     while True:
@@ -159,14 +159,18 @@ async def _pages(
             return
 
 
-def _csv_lines(lines: list[AlarmTransition]) -> str:
-    documents = [_flat(transition_document(line)) for line in lines]
+def _csv_lines(page: AlarmJournalPage) -> str:
+    documents = [
+        _flat(transition_document(line, page.units.get(line.alarm_id))) for line in page.items
+    ]
     return _csv([tuple(document[name] for name in _COLUMNS) for document in documents])
 
 
 def _flat(line: AlarmJournalLine) -> dict[str, object]:
     peak = {} if line.peak is None else {"peak_value": line.peak.value, "peak_time": line.peak.time}
-    return {"peak_value": None, "peak_time": None} | line.model_dump(exclude={"peak"}) | peak
+    assets = {"assets": " ".join(line.assets)}
+    others = line.model_dump(exclude={"peak", "assets"})
+    return {"peak_value": None, "peak_time": None} | others | assets | peak
 
 
 def _csv(rows: list[tuple[object, ...]]) -> str:

@@ -16,7 +16,7 @@ from service.alarms import (
     UnknownAlarmError,
 )
 from service.alarms.records import urgency
-from service.bus.commands import AlarmAction
+from service.bus.commands import AlarmAction, Alarms
 from service.documents.alarms import (
     AcknowledgedAlarms,
     AlarmDocument,
@@ -47,13 +47,13 @@ router = APIRouter(prefix="/alarms", tags=["alarms"])
 class _Place(BaseModel):
     """Where a page ended."""
 
-    key: tuple[int, int, int, int, str]
+    key: tuple[int, int, int, int, int, str]
 
 
 AlarmId = Annotated[str, Path(max_length=64, description="`id` of the alarm.")]
 
 
-@router.get("", response_model=AlarmList, summary="Open alarms", **secured(VIEWER))
+@router.get("", response_model=AlarmList, summary="List open alarms", **secured(VIEWER))
 async def list_alarms(
     request: Request,
     context: Context,
@@ -83,9 +83,9 @@ async def list_alarms(
     place = None if cursor is None else decode_cursor(cursor, _Place)
     if limit is None and place is not None:
         raise parameter_problem("cursor", "expected a limit with it")
-    alarms = await context.alarms.active(asset)
+    alarms = await context.cell.open_alarms(asset)
     if state and AlarmState.NORM in state:
-        alarms += await context.alarms.normal(asset)
+        alarms += await context.cell.normal_alarms(asset)
     found = [
         alarm
         for alarm in alarms
@@ -110,8 +110,10 @@ async def list_alarms(
 async def acknowledge_alarms(
     context: Context, line: ChangeLine, request: AcknowledgeManyRequest
 ) -> Response:
-    """Take note of several alarms; `failed` names those that could not be, and why."""
-    done = await context.alarms.acknowledge(request.ids, line.who, request.comment or "", line)
+    """Acknowledge several alarms; `failed` names those that could not be, and why."""
+    done = await context.cell(Alarms).acknowledge(
+        request.ids, line.who, request.comment or "", line
+    )
     return json_response(
         AcknowledgedAlarms(
             items=[alarm_document(alarm) for alarm in done.alarms],
@@ -129,7 +131,7 @@ async def acknowledge_alarms(
 async def acknowledge_alarm(
     context: Context, line: ChangeLine, alarm_id: AlarmId, request: CommentedRequest | None = None
 ) -> Response:
-    """Take note of an alarm; one that has returned to normal is over thereby, unless latched."""
+    """Acknowledge an alarm. An alarm that has returned to normal is cleared unless latched."""
     return await _done(context, alarm_id, "acknowledge", line, _comment(request))
 
 
@@ -142,7 +144,7 @@ async def acknowledge_alarm(
 async def shelve_alarm(
     context: Context, line: ChangeLine, alarm_id: AlarmId, request: ShelveRequest
 ) -> Response:
-    """Set an alarm aside; when the time is over it is back by itself, as its condition is then."""
+    """Shelve an alarm; when the time is over it is back automatically, as its condition is then."""
     return await _done(context, alarm_id, "shelve", line, request.comment or "", request.duration_s)
 
 
@@ -181,7 +183,7 @@ async def reset_alarm(
 async def comment_alarm(
     context: Context, line: ChangeLine, alarm_id: AlarmId, request: CommentRequest
 ) -> Response:
-    """Write a comment into the journal; the alarm shows the latest one."""
+    """Add a comment to the journal; the alarm shows the latest one."""
     return await _done(context, alarm_id, "comment", line, request.comment)
 
 
@@ -194,7 +196,7 @@ async def comment_alarm(
 async def take_alarm_out_of_service(
     context: Context, line: ChangeLine, alarm_id: AlarmId, request: CommentRequest
 ) -> Response:
-    """Silence an alarm until someone returns it to service; the comment says why."""
+    """Take an alarm out of service until it is returned; the comment says why."""
     return await _done(context, alarm_id, "take_out_of_service", line, request.comment)
 
 
@@ -207,7 +209,7 @@ async def take_alarm_out_of_service(
 async def return_alarm_to_service(
     context: Context, line: ChangeLine, alarm_id: AlarmId, request: CommentedRequest | None = None
 ) -> Response:
-    """Let an alarm work again; it is unacknowledged or normal, as its condition is then."""
+    """Return an alarm to service; it is unacknowledged or normal, as its condition is then."""
     return await _done(context, alarm_id, "return_to_service", line, _comment(request))
 
 
@@ -221,7 +223,9 @@ async def _done(
 ) -> Response:
     """Do something to an alarm; the answer comes when the journal is on the disk."""
     try:
-        alarm = await context.alarms.act(alarm_id, action, line.who, comment, duration_s, line)
+        alarm = await context.cell(Alarms).act(
+            alarm_id, action, line.who, comment, duration_s, line
+        )
     except UnknownAlarmError as error:
         raise parameter_problem("alarm_id", f"no open alarm {alarm_id!r}", 404) from error
     except NotAllowedError as error:

@@ -6,6 +6,7 @@ from fastapi import APIRouter
 from starlette.requests import Request
 from starlette.responses import Response
 
+from service.bus.commands import Assets
 from service.documents.assets import (
     AssetDocument,
     AssetList,
@@ -37,7 +38,7 @@ router = APIRouter(prefix="/assets", tags=["assets"])
 @router.get(
     "",
     response_model=AssetList,
-    summary="All assets",
+    summary="List assets",
     **secured(VIEWER_OR_GATEWAY, responses=CONDITIONAL),
 )
 async def list_assets(
@@ -73,7 +74,7 @@ async def list_assets(
 @router.get(
     "/{asset_id}",
     response_model=AssetDocument,
-    summary="One asset",
+    summary="Get an asset",
     **secured(VIEWER_OR_GATEWAY, 404, responses=CONDITIONAL),
 )
 async def get_asset(asset: Asset, if_none_match: IfNoneMatch = None) -> Response:
@@ -85,7 +86,7 @@ async def get_asset(asset: Asset, if_none_match: IfNoneMatch = None) -> Response
 @router.get(
     "/{asset_id}/snapshot",
     response_model=Snapshot,
-    summary="All present values as flat tags",
+    summary="Get the current values as tags",
     **secured(VIEWER, 404, responses=CONDITIONAL),
 )
 async def get_snapshot(asset: Asset, if_none_match: IfNoneMatch = None) -> Response:
@@ -96,7 +97,7 @@ async def get_snapshot(asset: Asset, if_none_match: IfNoneMatch = None) -> Respo
 @router.get(
     "/{asset_id}/state",
     response_model=State,
-    summary="The 13 node temperatures",
+    summary="Get the node temperatures",
     **secured(VIEWER, 404),
 )
 async def get_state(asset: Asset) -> Response:
@@ -108,7 +109,7 @@ async def get_state(asset: Asset) -> Response:
 @router.get(
     "/{asset_id}/verdict",
     response_model=VerdictDocument,
-    summary="The verdict: safe now, and in the next step",
+    summary="Get the verdict: now, rest of the present step, next step",
     **secured(VIEWER, 404),
 )
 async def get_verdict(asset: Asset) -> Response:
@@ -120,12 +121,13 @@ async def get_verdict(asset: Asset) -> Response:
 @router.post(
     "/{asset_id}/grease-renewed",
     response_model=GreaseRenewed,
-    summary="Record that the grease was renewed",
+    summary="Record a grease renewal",
     **secured(ENGINEER, 404),
 )
 async def post_grease_renewed(
-    asset: Asset, line: ChangeLine, request: GreaseRenewedRequest | None = None
+    context: Context, asset: Asset, line: ChangeLine, request: GreaseRenewedRequest | None = None
 ) -> Response:
     """Count the revolutions, and with them the run-in state of the grease, from zero again."""
     comment = (request.comment if request else None) or ""
-    return json_response(await asset.renew_grease(line.who, comment, line))
+    renewed = await context.cell(Assets).renew_grease(asset.id, line.who, comment, line)
+    return json_response(renewed)

@@ -24,7 +24,7 @@ _FLUSH_S = 1.0
 router = APIRouter(prefix="/audit", tags=["access"])
 
 
-@router.get("", response_model=AuditList, summary="The audit trail", **secured(ADMIN))
+@router.get("", response_model=AuditList, summary="List the audit trail", **secured(ADMIN))
 async def get_audit(
     context: Context,
     request: Request,
@@ -35,7 +35,7 @@ async def get_audit(
     """Every change that someone asked for, newest first; the trail only grows."""
     before = None if cursor is None else decode_cursor(cursor, Before).before
     await trail.flush()
-    await context.alarms.flush(_FLUSH_S)  # and what the cell does by itself
+    await context.cell.flush_alarms(_FLUSH_S)  # and what the cell does on its own
     page = await to_thread.run_sync(context.store.audit.page, limit, before)
     following = None
     if page.next_cursor is not None:

@@ -6,9 +6,10 @@ from starlette.responses import Response
 
 from service.documents.envelope import EnvelopeDocument
 from service.domain.roles import VIEWER
+from service.web import worker
 from service.web.api.access import secured
 from service.web.api.deps import Asset, json_response
-from service.web.api.turns import caller_of, turns_of
+from service.web.api.turns import study
 
 router = APIRouter(prefix="/assets/{asset_id}", tags=["planning"])
 
@@ -16,7 +17,7 @@ router = APIRouter(prefix="/assets/{asset_id}", tags=["planning"])
 @router.get(
     "/envelope",
     response_model=EnvelopeDocument,
-    summary="Safe operating envelope over speed and load",
+    summary="Get the safe operating envelope over speed and load",
     **secured(VIEWER, 404),
 )
 async def get_envelope(asset: Asset, request: Request) -> Response:
@@ -24,5 +25,5 @@ async def get_envelope(asset: Asset, request: Request) -> Response:
 
     Kept until the model version, the plan's range or the machine's state changes.
     """
-    async with turns_of(request).studies.turn(caller_of(request)):
-        return json_response(await asset.envelope())
+    what = "envelope", await asset.model_version()
+    return json_response(await study(request, asset, what, worker.envelope))

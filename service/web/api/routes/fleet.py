@@ -1,14 +1,12 @@
-"""The fleet: thousands of assets at a glance, in answers of a bounded size."""
+"""The fleet: summaries of thousands of assets, in answers of a bounded size."""
 
 from typing import Annotated
 
 from fastapi import APIRouter, Query, Request
 from starlette.responses import Response
 
-from service.clock import wall_us
 from service.documents.fleet import STATES, FleetMap, FleetPage, FleetState
-from service.documents.fleet_nights import NightDocument, NightsPage, nights_of
-from service.domain.roles import ENGINEER, VIEWER
+from service.domain.roles import VIEWER
 from service.web.api.access import secured
 from service.web.api.cursors import (
     LIMIT,
@@ -17,7 +15,6 @@ from service.web.api.cursors import (
     decode_cursor,
     encode_cursor,
     next_link,
-    page_of,
 )
 from service.web.api.deps import Context, json_response
 from service.web.api.entity_tags import CONDITIONAL, IfNoneMatch, conditional_response
@@ -30,7 +27,7 @@ router = APIRouter(prefix="/fleet", tags=["fleet"])
 @router.get(
     "",
     response_model=FleetPage,
-    summary="The fleet at a glance, the most urgent first",
+    summary="List asset summaries, the most urgent first",
     **secured(VIEWER),
 )
 async def list_fleet(
@@ -60,7 +57,7 @@ async def list_fleet(
 ) -> Response:
     """Give a page of assets, with counts of all that fit.
 
-    While somebody asks, each asset is at most `age_s` old here: 1 to 2 s with hundreds of assets,
+    While this is polled, each asset is at most `age_s` old here: 1 to 2 s with hundreds of assets,
     longer with thousands. An alarm is seen at once.
     """
     place = None if cursor is None else decode_cursor(cursor, Place)
@@ -75,27 +72,9 @@ async def list_fleet(
 @router.get(
     "/map",
     response_model=FleetMap,
-    summary="The state of every asset, one letter each",
+    summary="Get the state of every asset, one character each",
     **secured(VIEWER, responses=CONDITIONAL),
 )
 async def get_fleet_map(context: Context, if_none_match: IfNoneMatch = None) -> Response:
     """Give the states in the order of the ids, as `GET /fleet?sort=id` lists the assets."""
     return conditional_response(context.fleet.map(), if_none_match)
-
-
-@router.get(
-    "/nights",
-    response_model=NightsPage,
-    summary="Identification of the fleet, night by night: progress and cost",
-    **secured(ENGINEER),
-)
-def list_nights(
-    request: Request, context: Context, limit: Limit = LIMIT, cursor: Cursor = None
-) -> Response:
-    """Give what `bearing-twin fleet identify` did in the last 400 days, and does now."""
-    nights = nights_of(context.store.fleet_runs.all())
-    # By its first run, which stays: another one may begin between two pages.
-    page, following = page_of(nights, limit, cursor, lambda runs: runs[-1].id)
-    now_us = wall_us()
-    answer = NightsPage(items=[NightDocument.of(runs, now_us) for runs in page], next=following)
-    return json_response(answer, headers=next_link(request, following))

@@ -1,9 +1,9 @@
 """Forecasts: the live one, and what-if."""
 
 from collections.abc import Sequence
+from types import ModuleType
 from typing import Final
 
-from anyio import to_thread
 from fastapi import APIRouter
 from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
@@ -13,18 +13,14 @@ from service.documents.forecasts import LiveForecast, WhatIf, WhatIfAnswer
 from service.domain.errors import NotReadyError, RequestRefusedError
 from service.domain.requests import ForecastRequest
 from service.domain.roles import OPERATOR, VIEWER
-from service.security.audit_trail import PATIENCE_S
-from service.store import Outbox, Store
-from service.store.outbox import ForecastBatch
+from service.feature_folders import modules
+from service.web import worker
 from service.web.api.access import secured
 from service.web.api.deps import Asset, Context, copy_response
 from service.web.api.trail import line_of, log_line
 from service.web.api.turns import caller_of, pieces_in_turn, turns_of, while_there
-from twin_core.verification import LEAD_TIMES_S
 
 _PIECE_BYTES: Final = 1 << 16
-#: Kept what-ifs of an asset that may wait for their time.
-MOST_ASKED: Final = 200
 
 router = APIRouter(prefix="/assets/{asset_id}", tags=["forecasts"])
 
@@ -32,11 +28,11 @@ router = APIRouter(prefix="/assets/{asset_id}", tags=["forecasts"])
 @router.get(
     "/forecast",
     response_model=LiveForecast,
-    summary="The latest live forecast",
+    summary="Get the latest live forecast",
     **secured(VIEWER, 404),
 )
 async def get_forecast(asset: Asset) -> Response:
-    """Follow the controller's plan where it tells one, else hold the present point."""
+    """Use the controller's plan if present, otherwise the current operating point."""
     await asset.refresh("forecast")
     answer = copy_response(asset, "forecast")
     if answer.body == b"null":
@@ -47,7 +43,7 @@ async def get_forecast(asset: Asset) -> Response:
 @router.post(
     "/forecasts",
     response_model=WhatIfAnswer,
-    summary="What if: forecast a profile from the present state",
+    summary="Forecast a profile from the current state",
     **secured(OPERATOR, 404, audit=None),
 )
 async def post_forecast(
@@ -69,52 +65,34 @@ async def post_forecast(
             )
     turns, caller = turns_of(request), caller_of(request)
 
-    if body.keep:
-        await turns.read(caller, _check_room, context.store, asset.id, body)
+    keeper = _keeper() if body.keep else None
+    if keeper is not None:
+        await turns.read(caller, keeper.check, context.store, asset.id, body)
+
+    asked = body.profile, body.step_s, body.nodes
 
     async def compute() -> Sequence[bytes]:
-        if body.keep:
-            found, issued = await turns.what_ifs.hold(
-                caller, lambda: asset.what_if_to_keep(body.profile, body.step_s, body.nodes)
-            )
-            if issued is None:
-                raise RequestRefusedError("/keep", "the asset has no sensor of its model")
-            line = await line_of(request, "forecast.keep")
-            await _keep(context.outbox, ForecastBatch((issued,), line))
-            log_line(line)
+        kept_at: str | None = None
+        if keeper is None:
+            found = await turns.what_ifs.hold(caller, lambda: asset.compute(worker.what_if, *asked))
         else:
-            found, issued = (
-                await turns.what_ifs.hold(
-                    caller, lambda: asset.what_if(body.profile, body.step_s, body.nodes)
-                ),
-                None,
+            found, issued = await turns.what_ifs.hold(
+                caller, lambda: asset.compute(keeper.question, *asked)
             )
-        kept_at = None if issued is None else rfc3339(issued.time_us)
+            line = await line_of(request, "forecast.keep")
+            kept_at = rfc3339(await keeper.keep(context.outbox, issued, line))
+            log_line(line)
         return await turns.read(caller, _pieces_of, found, kept_at)
 
     pieces = await while_there(request, compute())
     return StreamingResponse(pieces_in_turn(pieces), media_type="application/json")
 
 
-def _check_room(store: Store, asset: str, body: ForecastRequest) -> None:
-    """Refuse what cannot be compared with anything, and more than anybody can mean."""
-    total_s = sum(step.duration_s for step in body.profile)
-    if total_s < LEAD_TIMES_S[0]:
-        raise RequestRefusedError(
-            "/keep",
-            f"the profile lasts {total_s:g} s, expected at least {LEAD_TIMES_S[0]} s, the shortest "
-            "lead time",
-        )
-    if store.forecasts.count_waiting(asset, "asked") >= MOST_ASKED:
-        raise RequestRefusedError(
-            "/keep", f"{MOST_ASKED} kept what-ifs of this asset wait for their time already"
-        )
-
-
-async def _keep(outbox: Outbox, batch: ForecastBatch) -> None:
-    """Have a forecast written; a store that does not answer gets it later, from the disk."""
-    outbox.record(batch)
-    await to_thread.run_sync(outbox.flush, PATIENCE_S, abandon_on_cancel=True)
+def _keeper() -> ModuleType:
+    """The module of a feature that keeps what-ifs."""
+    for _, keeper in modules("what_ifs"):
+        return keeper
+    raise RequestRefusedError("/keep", "no feature of this service keeps forecasts")
 
 
 def _pieces_of(found: WhatIf, kept_at: str | None) -> list[bytes]:

@@ -23,7 +23,7 @@ _log = structlog.get_logger(__name__)
 
 @router.get("/livez", response_model=Alive, summary="Liveness: the process answers", **public())
 async def livez() -> Response:
-    """Say yes."""
+    """Answer 200 while the process runs."""
     return json_response(Alive())
 
 
@@ -38,7 +38,7 @@ async def readyz(context: Context, request: Request, keys: Keys) -> Response:
 
     A broken sensor or source degrades the service, it does not fail it.
     """
-    checks = await context.health.checks()
+    checks = context.health.checks()
     statuses = {check.status for check in checks}
     ready = "failed" not in statuses
     overall: Literal["ready", "degraded", "not ready"] = (
@@ -80,8 +80,9 @@ async def metrics(context: Context, request: Request, keys: Keys) -> Response:
             raise unauthorized(request)
         if principal.role not in VIEWER:
             raise Problem(403, f"a key of role {principal.role} may not read the metrics")
+    cells = await to_thread.run_sync(context.health.metrics)
     own = await to_thread.run_sync(generate_latest, context.registry)
-    return Response(await context.health.metrics() + own, media_type=CONTENT_TYPE_LATEST)
+    return Response(cells + own, media_type=CONTENT_TYPE_LATEST)
 
 
 async def _may_see_details(request: Request, keys: Keys) -> bool:
@@ -103,7 +104,7 @@ _OF_A_PROXY = (
 
 
 def _is_local(request: Request) -> bool:
-    """Tell whether the caller sits on this machine, and not only a proxy on its behalf."""
+    """Whether the caller sits on this machine, and not only a proxy on its behalf."""
     if request.client is None or any(name in request.headers for name in _OF_A_PROXY):
         return False
     return is_loopback(request.client.host)

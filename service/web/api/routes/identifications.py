@@ -6,15 +6,17 @@ from fastapi import APIRouter, Header, Path
 from starlette.requests import Request
 from starlette.responses import Response
 
+from service.bus.commands import Identifications
 from service.documents.identification import JobDocument, JobList, WindowList
 from service.domain.requests import IdentificationRequest
 from service.domain.roles import ENGINEER
+from service.web import worker
 from service.web.api.access import LOCATION, RETRY_AFTER, secured
 from service.web.api.cursors import LIMIT, Cursor, Limit, next_link, page_of
 from service.web.api.deps import Asset, Context, json_response
 from service.web.api.problems import Problem, parameter_problem
 from service.web.api.trail import ChangeLine
-from service.web.api.turns import caller_of, turns_of
+from service.web.api.turns import study
 
 RETRY_AFTER_S = 2
 #: Marks the answer to a call that was sent again: it changed nothing.
@@ -28,13 +30,14 @@ JobId = Annotated[str, Path(max_length=64, description="The job's id.")]
 @router.get(
     "/windows",
     response_model=WindowList,
-    summary="Low-risk windows in the store",
+    summary="List low-risk windows",
     **secured(ENGINEER, 404),
 )
 async def list_windows(asset: Asset, request: Request) -> Response:
     """Contiguous good data inside the low-risk region, with operating points and score."""
-    async with turns_of(request).studies.turn(caller_of(request)):
-        return json_response(WindowList(items=list(await asset.windows())))
+    return json_response(
+        WindowList(items=list(await study(request, asset, "windows", worker.windows)))
+    )
 
 
 @router.post(
@@ -67,8 +70,10 @@ async def post_identification(
         ),
     ] = None,
 ) -> Response:
-    """Queue a background job; `Location` tells where its progress is."""
-    job, created = await context.jobs.create(asset.id, request, idempotency_key, line.who, line)
+    """Queue a background job; `Location` names where its progress is."""
+    job, created = await context.cell(Identifications).create(
+        asset.id, request, idempotency_key, line.who, line
+    )
     headers = {
         "Location": f"{http_request.url.path}/{job.id}",
         "Retry-After": str(RETRY_AFTER_S),
@@ -81,14 +86,14 @@ async def post_identification(
 @router.get(
     "/identifications",
     response_model=JobList,
-    summary="Identification jobs, newest first",
+    summary="List identification jobs",
     **secured(ENGINEER, 404),
 )
 async def list_identifications(
     context: Context, asset: Asset, request: Request, limit: Limit = LIMIT, cursor: Cursor = None
 ) -> Response:
     """All jobs of the asset, those of earlier runs of the service too."""
-    jobs = await context.jobs.jobs(asset.id)
+    jobs = await context.cell(Identifications).jobs(asset.id)
     page, following = page_of(jobs, limit, cursor, lambda job: job.id)
     return json_response(
         JobList(items=list(page), next=following), headers=next_link(request, following)
@@ -98,12 +103,12 @@ async def list_identifications(
 @router.get(
     "/identifications/{job_id}",
     response_model=JobDocument,
-    summary="Status, progress and result of a job",
+    summary="Get an identification job",
     **secured(ENGINEER, 404),
 )
 async def get_identification(context: Context, asset: Asset, job_id: JobId) -> Response:
     """Status, progress, best fitness, and the model version that came of it."""
-    job = await context.jobs.job(asset.id, job_id)
+    job = await context.cell(Identifications).job(asset.id, job_id)
     if job is None:
         raise _no_job(asset, job_id)
     return json_response(job)
@@ -112,14 +117,14 @@ async def get_identification(context: Context, asset: Asset, job_id: JobId) -> R
 @router.delete(
     "/identifications/{job_id}",
     response_model=JobDocument,
-    summary="Cancel a job",
+    summary="Cancel an identification job",
     **secured(ENGINEER, 404, audit="identification.cancel"),
 )
 async def delete_identification(
     context: Context, asset: Asset, job_id: JobId, line: ChangeLine
 ) -> Response:
     """Stop a job that is queued or running; one that has ended stays as it is."""
-    job = await context.jobs.cancel(asset.id, job_id, line)
+    job = await context.cell(Identifications).cancel(asset.id, job_id, line)
     if job is None:
         raise _no_job(asset, job_id)
     return json_response(job)

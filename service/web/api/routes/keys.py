@@ -45,7 +45,7 @@ class KeyRequest(RequestBody):
     )
 
 
-@router.get("", response_model=KeyList, summary="API keys", **secured(ADMIN))
+@router.get("", response_model=KeyList, summary="List API keys", **secured(ADMIN))
 def get_keys(
     context: Context, request: Request, limit: Limit = LIMIT, cursor: Cursor = None
 ) -> Response:
@@ -64,7 +64,7 @@ def get_keys(
     **secured(ADMIN, audit=None, responses={201: {"headers": LOCATION}}),
 )
 async def post_key(context: Context, request: Request, body: KeyRequest) -> Response:
-    """Give the key this once; kept is only its hash."""
+    """Return the key this once; only its hash is stored."""
     maker = actor(request)
     new = await to_thread.run_sync(
         lambda: create_key(context.store, body.role, body.expires_in_days, body.label, actor=maker)
@@ -88,7 +88,7 @@ async def delete_key(
 ) -> Response:
     """End the key at once, with its browser sessions and, within two seconds, its streams.
 
-    409 for the key that the call comes with: no one locks himself out.
+    409 for the key of the call itself.
     """
     if key_id in (who.key_id, who.prefix):
         raise Problem(409, "a key cannot revoke itself, expected another administrator's key")

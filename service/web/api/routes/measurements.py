@@ -11,7 +11,6 @@ from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
 
 from adapters.tables import TableFileError
-from service.bus.replica import AssetReplica
 from service.documents.measurements import Measurements, Pushed
 from service.documents.problems import FieldError
 from service.domain.errors import PushRefusedError
@@ -32,9 +31,18 @@ from service.transfer.pages import (
 from service.web.api.access import secured
 from service.web.api.context import ServiceContext
 from service.web.api.cursors import decode_cursor, encode_cursor, next_link
-from service.web.api.deps import Asset, Context, json_response
+from service.web.api.deps import Asset, Context, Recorded, RecordedAsset, json_response
 from service.web.api.problems import Problem, parameter_problem
-from service.web.api.pushes import PushRequest, PushRoute, Verdict, give_turn_back, in_thread, judge
+from service.web.api.pushes import (
+    PUSH_PATIENCE_S,
+    PushRequest,
+    PushRoute,
+    Verdict,
+    give_turn_back,
+    in_thread,
+    judge,
+    refused,
+)
 from service.web.api.turns import (
     HeldResponse,
     Turns,
@@ -47,7 +55,6 @@ from service.web.api.turns import (
 LIMIT = 10_000
 LIMIT_MAX = 50_000
 CHANNELS_MAX = 50
-PUSH_PATIENCE_S = 10.0
 DEFAULT_SPAN_US = 3600 * 1_000_000
 CSV = "text/csv; charset=utf-8"
 PARQUET = "application/vnd.apache.parquet"
@@ -65,7 +72,7 @@ _pushing = APIRouter(route_class=PushRoute)
 @router.get(
     _PREFIX,
     response_model=Measurements,
-    summary="History with quality",
+    summary="List measurements",
     **secured(
         VIEWER,
         404,
@@ -85,7 +92,7 @@ _pushing = APIRouter(route_class=PushRoute)
 )
 async def get_measurements(
     context: Context,
-    asset: Asset,
+    asset: Recorded,
     request: Request,
     channel: Annotated[
         list[str] | None,
@@ -180,7 +187,7 @@ async def get_measurements(
 async def post_measurements(
     context: Context, asset: Asset, request: Request, body: PushRequest
 ) -> Response:
-    """Take in samples of pushed channels, each judged for itself; sending again does no harm.
+    """Accept samples of pushed channels, each checked separately; sending again is harmless.
 
     The answer means that what was taken is on the disk. The first good value of a time wins; a
     good one replaces a bad or uncertain one. `rejected` names every sample that was not taken; of
@@ -215,11 +222,7 @@ async def post_measurements(
             asset.id, verdict.samples, verdict.too_old, now_us, PUSH_PATIENCE_S
         )
     except PushRefusedError as error:
-        raise Problem(
-            503,
-            f"none of the samples was stored: {error}; expected the same push again later",
-            headers={"Retry-After": str(error.retry_after_s)},
-        ) from error
+        raise refused(error) from error
     if counts.stored + counts.duplicates < len(verdict.samples):
         # The time from which samples are kept moved on meanwhile.
         verdict = await judged()
@@ -317,7 +320,7 @@ class _Made(TypedDict):
     headers: dict[str, str]
 
 
-def _options(request: Request, asset: AssetReplica, format: str, following: str | None) -> _Made:
+def _options(request: Request, asset: RecordedAsset, format: str, following: str | None) -> _Made:
     """What the response is to be made with."""
     headers = dict(next_link(request, following))
     if format != "json":
@@ -327,7 +330,7 @@ def _options(request: Request, asset: AssetReplica, format: str, following: str 
 
 def _new_query(
     context: ServiceContext,
-    asset: AssetReplica,
+    asset: RecordedAsset,
     channels: list[str] | None,
     start_us: int | None,
     end_us: int | None,

@@ -75,7 +75,9 @@ async def log_in(request: Request, body: LogIn, keys: Keys, trail: Trail) -> Res
     return response
 
 
-@router.get("", response_model=SessionDocument, summary="The current session", **secured(VIEWER))
+@router.get(
+    "", response_model=SessionDocument, summary="Get the current session", **secured(VIEWER)
+)
 async def get_session(who: Caller) -> Response:
     """Role and expiry of the session, or of the key that came instead."""
     return json_response(SessionDocument.of(who))

@@ -12,7 +12,7 @@ from pydantic_core import to_json
 from starlette.responses import Response
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from service.bus.stream import Subscription, SubscriptionClosedError
+from service.bus.subscription import Subscription, SubscriptionClosedError
 from service.documents.messages import LIVE
 from service.documents.tags import Snapshot
 from service.domain.errors import CellUnavailableError
@@ -43,7 +43,7 @@ _log = structlog.get_logger(__name__)
 
 @router.get(
     _PATH,
-    summary="Live messages (WebSocket)",
+    summary="Stream live messages (WebSocket)",
     response_class=Response,
     **secured(
         VIEWER,
@@ -66,11 +66,11 @@ async def stream_by_http(
 
     Messages are `{"type", "seq", "epoch", "asset", "time", "sent_at", "data"}`; `time` is process
     time, `sent_at` wall time. First comes `hello` for each asset (its data are the snapshot, and
-    `gap` tells whether messages after `resume` are gone), then what was missed, then `measurement`,
+    `gap` says whether messages after `resume` are gone), then what was missed, then `measurement`,
     `state`, `verdict` (as `GET …/verdict`, at each change and at least every 5 s), `forecast`,
     `alarm`, `job`, `health`, and a `heartbeat` every 15 s. A client that reads
-    slowly loses old measurements, never alarms or jobs. Of an asset that nobody follows, and nobody
-    has followed for ten minutes, only `alarm` and `job` are made: a `resume` from before that has
+    slowly loses old measurements, never alarms or jobs. Of an asset that no client has
+    followed for ten minutes, only `alarm` and `job` are sent: a `resume` from before that has
     a `gap`. `live` names the assets to follow, and `alarm` and `job` come of all `assets` still:
     with many assets, follow those that you show.
     """
@@ -147,7 +147,7 @@ async def _stay(
 async def _admit(
     websocket: WebSocket, keys: Authenticator, trail: AuditTrail
 ) -> tuple[Principal, str | None]:
-    """Tell who wants the stream, and the full name of the subprotocol with the key."""
+    """Find who wants the stream, and the full name of the subprotocol with the key."""
     offered = subprotocol_key(websocket)
     principal = await authenticate(websocket, keys, trail)
     if principal is None:
@@ -171,10 +171,10 @@ async def _subscribe(
         resume = int(resume_text)
     followed = assets if live is None else live
     try:
-        # Who follows no asset need not tell the cell.
+        # Who follows no asset need not inform the cell.
         complete_after = 0 if followed == [] else await context.follow(followed)
     except CellUnavailableError:
-        complete_after = None  # nobody knows whether there are all messages
+        complete_after = None  # unknown whether there are all messages
     epoch = websocket.query_params.get("epoch")
     is_another = bool(epoch) and epoch != context.bus.epoch  # what came in the earlier one is gone
     if resume is not None and (is_another or complete_after is None):
@@ -330,6 +330,6 @@ async def _watch(sender: _Sender, keys: Authenticator) -> Ending:
         try:
             principal = await authenticate(sender.websocket, keys)
         except Problem:
-            continue  # the store does not answer; whoever was let in stays
+            continue  # the store does not answer; a client that was let in stays
         if principal is None or principal.role not in VIEWER:
             return _POLICY, "the key is no longer valid"

@@ -17,11 +17,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from processes import free_port, wait_until
+from programs import needed
 from pymodbus.client import AsyncModbusTcpClient
+from site_files import asset_section
 
-from service.bus.commands import Document
+from service.bus.commands import PackedDocument
 from service.bus.replica import UNCERTAIN_AFTER_S, AssetReplica
-from service.bus.stream import Bus
+from service.bus.stream import LiveMessages
 from service.clock import ProcessClock
 from service.plant import publishers as outlets
 from service.plant.modbus_server.image import NEVER, Image
@@ -78,7 +80,7 @@ class Site:
             host, tags_of=lambda asset: look.get(asset, lambda: None)(), now_us=lambda: NOW_US
         )
         self.rounds = PublisherRounds(
-            "modbus_server", self.publisher, 0.05, {}, Bus(ProcessClock()), host
+            "modbus_server", self.publisher, 0.05, {}, LiveMessages(ProcessClock()), host
         )
 
     @asynccontextmanager
@@ -152,6 +154,25 @@ async def test_a_plc_reads_values_with_quality_and_age(site: Site) -> None:
         assert await beat() >= first + 2
 
 
+@pytest.mark.parametrize(
+    "lost",
+    [{name: shown(41.25, quality)} for name in INPUTS for quality in (24, 64)]
+    + [{INPUTS[0]: shown(None)}, {INPUTS[0]: None}],
+)
+@pytest.mark.parametrize("alarms", [0, 2])
+def test_the_status_says_that_data_are_missing_when_one_input_is_lost(
+    lost: dict[str, Any], alarms: int
+) -> None:
+    alone = RegisterMap({"bench-1": INPUTS}, MAP.tags, 7)
+    tags = safe_tags() | {"alarms.active": shown(alarms)}
+    image = Image(alone, lambda asset: tags, lambda: NOW_US)
+    alarm = int(alarms > 0)
+    assert image.registers(2, 1) == [alarm]
+    tags = {name: one for name, one in (tags | lost).items() if one is not None}
+    assert image.registers(2, 1) == [alarm + 4]
+    assert image.bits(0, 1) == [False]
+
+
 async def test_nobody_writes_and_nothing_is_read_beyond_the_map(site: Site) -> None:
     async with site.client() as client:
         before = (await client.read_holding_registers(100, count=20)).registers
@@ -196,7 +217,7 @@ async def test_no_answer_mixes_two_moments(site: Site) -> None:
 async def test_mbpoll_reads_a_float(site: Site) -> None:
     arguments = ["-m", "tcp", "-a", "1", "-t", "3:float", "-B", "-r", "101", "-c", "1", "-1"]
     run = await asyncio.create_subprocess_exec(
-        "mbpoll", *arguments, "-p", str(site.port), "127.0.0.1",
+        needed("mbpoll"), *arguments, "-p", str(site.port), "127.0.0.1",
         stdout=subprocess.PIPE,
     )  # fmt: skip
     out, _ = await asyncio.wait_for(run.communicate(), 60)
@@ -244,7 +265,9 @@ async def test_a_snapshot_that_nobody_renews_takes_the_permissive_by_itself(
 ) -> None:
     replica = AssetReplica("bench-1", None)  # type: ignore[arg-type]
     began_s = time.monotonic()
-    replica.take("snapshot", Document(b"1", json.dumps({"tags": safe_tags()}).encode()), began_s)
+    replica.take(
+        "snapshot", PackedDocument(b"1", json.dumps({"tags": safe_tags()}).encode()), began_s
+    )
     image = Image(MAP, lambda asset: replica.snapshot()["tags"], lambda: NOW_US)
     assert image.bits(0, 1) == [True]
     monkeypatch.setattr(time, "monotonic", lambda: began_s + UNCERTAIN_AFTER_S - 0.1)
@@ -258,22 +281,16 @@ async def test_a_snapshot_that_nobody_renews_takes_the_permissive_by_itself(
 
 # ------------------------------------------------------------------------------------- the map
 def settings_of(tags: list[str] | None = None, **section: Any) -> Settings:
-    asset = {
-        "id": "bench-1",
-        "bearing": "6311",
-        "low_risk": {"speed_rpm_max": 4300, "load_n_max": 3000},
-        "channels": {
-            name: {"source": "push"} for name in ("speed_rpm", "load_n", "t_inner_ring_c")
-        },
-    }
+    channels = ("speed_rpm", "load_n", "t_inner_ring_c")
     server = {"enabled": True, "tags": tags or [], **section}
-    return Settings(assets=[asset, asset | {"id": "bench-2"}], modbus_server=server)  # type: ignore[arg-type]
+    assets = [asset_section(name, channels) for name in ("bench-1", "bench-2")]
+    return Settings(assets=assets, modbus_server=server)  # type: ignore[arg-type]
 
 
 def test_the_map_follows_the_configuration_and_its_version_tells() -> None:
     usual = map_of(settings_of())
     assert usual == map_of(settings_of()), "the same in every process"
-    assert usual.version == 31009, "and in every release: a PLC compares it with a constant"
+    assert usual.version == 8334, "and in every release: a PLC compares it with a constant"
     assert list(usual.assets) == ["bench-1", "bench-2"]
     assert usual.assets["bench-1"] == ("t_inner_ring_c", "speed_rpm", "load_n")
     two = ["bench-2/t_inner_ring_c.twin", "bench-1/speed_rpm"]
@@ -308,5 +325,5 @@ def test_it_is_off_by_default_and_warns_off_loopback() -> None:
     assert Settings().modbus_server.enabled is False
     assert outlets.warnings(settings_of()) == []
     (line,) = outlets.warnings(settings_of(host="0.0.0.0"))
-    assert line.startswith("modbus_server.host = '0.0.0.0': whoever reaches")
+    assert line.startswith("modbus_server.host = '0.0.0.0': anyone with access")
     assert outlets.warnings(settings_of(host="0.0.0.0", enabled=False)) == []

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from processes import free_port, wait_until
 from programs import needed
 
 from adapters.samples import Quality
-from service.bus.stream import Bus
+from service.bus.stream import LiveMessages
 from service.clock import ProcessClock
 from service.plant import publishers as outlets
 from service.plant import rounds
@@ -113,6 +114,16 @@ class Listener:
     def __init__(self, client: Client) -> None:
         self._messages = aiter(client.messages)
 
+    async def all_until(self, *topics: str) -> dict[str, tuple[str, bool]]:
+        """What is heard until there was something on each of these topics."""
+        heard: dict[str, tuple[str, bool]] = {}
+        async with asyncio.timeout(PATIENCE_S):
+            while not heard.keys() >= set(topics):
+                message = await anext(self._messages)
+                topic = str(message.topic).removeprefix("works/hall-2/")
+                heard[topic] = bytes(message.payload).decode(), message.retain
+        return heard
+
     async def hear(self, topic: str, payload: Any = ...) -> tuple[Any, bool]:
         """Wait for a payload on a topic; gives it and whether it was retained."""
         async with asyncio.timeout(PATIENCE_S):
@@ -138,7 +149,7 @@ async def publishing(
     host: Host,
     settings: MqttSection,
     asset: Asset,
-    bus: Bus,
+    bus: LiveMessages,
     assets: dict[str, Any] | None = None,
 ) -> AsyncIterator[None]:
     publisher = rounds.PublisherRounds(
@@ -154,7 +165,7 @@ async def publishing(
 
 
 async def test_tags_alarms_and_status(broker: Broker, host: Host) -> None:
-    asset, bus = Asset(), Bus(ProcessClock())
+    asset, bus = Asset(), LiveMessages(ProcessClock())
     async with publishing(host, section(broker), asset, bus):
         async with listening(broker) as listener:
             await listener.hear("bench-1/t_inner_ring_c.twin", tag(61.0))
@@ -175,7 +186,7 @@ async def test_tags_alarms_and_status(broker: Broker, host: Host) -> None:
 async def test_the_broker_forgets_the_topics_of_an_asset_that_is_gone(
     broker: Broker, host: Host
 ) -> None:
-    asset, bus = Asset(), Bus(ProcessClock())
+    asset, bus = Asset(), LiveMessages(ProcessClock())
     assets: dict[str, Any] = {"bench-1": asset}
     async with publishing(host, section(broker), asset, bus, assets):
         async with listening(broker) as listener:
@@ -211,7 +222,7 @@ async def test_a_broker_that_was_away_gets_everything_when_it_is_back(
     monkeypatch.setattr(rounds, "REOPEN_FIRST_S", 0.1)
     monkeypatch.setattr(rounds, "REOPEN_LAST_S", 0.2)
     broker.stop()
-    asset, bus = Asset(), Bus(ProcessClock())
+    asset, bus = Asset(), LiveMessages(ProcessClock())
     async with publishing(host, section(broker), asset, bus):
         await asyncio.sleep(0.5)
         for _ in range(2):
@@ -228,11 +239,42 @@ async def test_a_broker_that_was_away_gets_everything_when_it_is_back(
             assert (await listener.hear("bench-1/alarms"))[0] == {"id": "1"}
 
 
+async def test_open_alarms_can_be_had_by_who_connects_late(broker: Broker, host: Host) -> None:
+    """What ended while we were away is taken back."""
+
+    async def open_alarms() -> list[dict[str, object]]:
+        return [{"id": "old", "state": "ACKED"}]
+
+    bus = LiveMessages(ProcessClock())
+    async with listening(broker) as listener:
+        async with Client(
+            "127.0.0.1", broker.port, username="ear", password="secret", timeout=PATIENCE_S
+        ) as before:
+            await before.publish("works/hall-2/service/alarms/gone", "{}", qos=1, retain=True)
+        known = replace(host, open_alarms=open_alarms)
+        async with publishing(known, section(broker), Asset(), bus):
+            await listener.hear("service/alarms/gone", "")
+            bus.publish("alarm", "bench-1", {"id": "new", "state": "UNACK"})
+            bus.publish("alarm", None, {"id": "shared", "state": "UNACK"})
+            await listener.hear("service/alarms/shared")
+            async with listening(broker) as late:
+                found = await late.all_until("service/alarms/new", "service/alarms/old")
+                assert found["service/alarms/new"] == ('{"id": "new", "state": "UNACK"}', True)
+                assert found["service/alarms/old"] == ('{"id": "old", "state": "ACKED"}', True)
+            bus.publish("alarm", "bench-1", {"id": "new", "state": "NORM"})
+            await listener.hear("service/alarms/new", "")
+            async with listening(broker) as late:
+                bus.publish("alarm", "bench-1", {"id": "end", "state": "UNACK"})
+                heard = await late.all_until("service/alarms/shared", "service/alarms/end")
+                assert "service/alarms/new" not in heard
+                assert "service/alarms/gone" not in heard
+
+
 LOST = """
 import asyncio, sys
 from service.clock import ProcessClock
 from adapters.samples import Quality
-from service.bus.stream import Bus
+from service.bus.stream import LiveMessages
 from service.plant.mqtt.publisher import MqttPublisher
 from service.plant.protocol import Host
 from service.plant.rounds import PublisherRounds
@@ -240,7 +282,7 @@ from service.site.settings import MqttSection
 section = MqttSection.model_validate_json(sys.argv[1])
 host = Host(None, None, None)  # it asks for no keys and keeps no files
 publisher = MqttPublisher(section)
-asyncio.run(PublisherRounds("mqtt", publisher, 1.0, {}, Bus(ProcessClock()), host).run())
+asyncio.run(PublisherRounds("mqtt", publisher, 1.0, {}, LiveMessages(ProcessClock()), host).run())
 """
 
 
@@ -270,7 +312,7 @@ async def test_a_wrong_password_leaves_the_service_running_and_is_never_shown(
     monkeypatch.setattr(rounds, "REOPEN_LAST_S", 0.2)
     wrong = section(broker, password="not-the-secret")
     assert "not-the-secret" not in repr(wrong)
-    async with publishing(host, wrong, Asset(), Bus(ProcessClock())):
+    async with publishing(host, wrong, Asset(), LiveMessages(ProcessClock())):
         async with asyncio.timeout(PATIENCE_S):
             shown = ""
             while "mqtt_away" not in shown:

@@ -215,6 +215,7 @@ def test_every_quality_has_a_status_code_of_its_severity() -> None:
     assert unit_id("") == -1
 
 
+@pytest.mark.wires
 def test_what_cannot_be_had_is_told_before_anything_starts(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

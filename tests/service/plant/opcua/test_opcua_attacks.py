@@ -91,7 +91,7 @@ async def test_nobody_takes_over_the_session_of_a_client_that_has_a_key(
 
 
 async def succeeds(attempt: Awaitable[list[Any]]) -> bool:
-    """Tell whether a service did anything of what it was asked for."""
+    """Return whether a service did anything of what it was asked for."""
     try:
         results = await attempt
     except ua.UaError:
@@ -174,7 +174,8 @@ async def test_nobody_registers_servers_with_this_one(
                 with pytest.raises(ua.UaError):
                     await client.uaclient.register_server(server)
                 found = await client.find_servers()
-                assert [one.ApplicationUri for one in found] == ["urn:bearing-twin:server"]
+                (own,) = [one.ApplicationUri for one in found]
+                assert ":bearing-twin:" in own
             finally:
                 client.disconnect_socket()
 

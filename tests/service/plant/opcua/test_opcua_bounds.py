@@ -31,7 +31,7 @@ def connect(served: Serving) -> socket.socket:
 
 
 def is_closed(line: socket.socket) -> bool:
-    """Tell whether the server has closed a connection; waits for it."""
+    """Return whether the server has closed a connection; waits for it."""
     try:
         return line.recv(1) == b""
     except ConnectionError:
@@ -85,7 +85,7 @@ async def test_a_message_without_end_and_messages_without_end_close_the_connecti
     async with inside(Asset(), tmp_path, store, outbox) as served:
 
         async def closes(data: bytes, times: int) -> bool:
-            """Open a channel and send; tells whether the server hangs up."""
+            """Open a channel and send; returns whether the server hangs up."""
             client = Client(served.address)
             await client.connect_sessionless()
             protocol = client.uaclient.protocol

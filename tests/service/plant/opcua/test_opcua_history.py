@@ -232,6 +232,7 @@ async def test_what_cannot_be_read_is_refused_for_its_node(
         configured = processed(0, 60, 10, AVERAGE)
         configured.AggregateConfiguration = own
         open_span = raw_of(ua.get_win_epoch(), ua.get_win_epoch())
+        changed = ua.ReadRawModifiedDetails(IsReadModified=True, StartTime=T0, EndTime=at(60))
         many = ua.ReadAtTimeDetails(ReqTimes=[T0] * (history.MOST_TIMES + 1))
         unknown = processed(0, 60, 10, ua.ObjectIds.AggregateFunction_Range)
         for details, point, status in (
@@ -249,14 +250,16 @@ async def test_what_cannot_be_read_is_refused_for_its_node(
             (processed(60, 0, 10, AVERAGE), None, codes.BadHistoryOperationUnsupported),
             (many, None, codes.BadInvalidArgument),
             (ua.ReadAtTimeDetails(ReqTimes=[]), None, codes.BadInvalidArgument),
+            (changed, None, codes.BadHistoryOperationUnsupported),
+            (ua.ReadEventDetails(), None, codes.BadHistoryOperationUnsupported),
         ):
             (result,) = await request(client, details, ring, point=point)
             assert result.StatusCode.value == status, details
-        changed = ua.ReadRawModifiedDetails(IsReadModified=True, StartTime=T0, EndTime=at(60))
+        server = ua.TimestampsToReturn.Server
+        (result,) = await request(client, raw, ring, stamps=server)
+        assert result.StatusCode.value == codes.BadTimestampNotSupported
         two = processed(0, 60, 10, AVERAGE, AVERAGE)
         for details, nodes, stamps, status in (
-            (changed, (ring,), 0, codes.BadHistoryOperationUnsupported),
-            (ua.ReadEventDetails(), (ring,), 0, codes.BadHistoryOperationUnsupported),
             (two, (ring,), 0, codes.BadAggregateListMismatch),
             (raw, (), 0, codes.BadNothingToDo),
             (raw, (ring,) * (history.MOST_NODES + 1), 0, codes.BadTooManyOperations),

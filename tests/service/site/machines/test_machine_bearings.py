@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+from site_files import asset_text
 
 from service.site.configuration import SettingsError
 from service.site.machines.bearings import named_bearing
@@ -10,14 +11,7 @@ from service.site.machines.machine import Machine
 from service.site.settings import load_settings
 from twin_core.bearings import UnknownBearingError, bearing
 
-ASSET = """
-[[assets]]
-id = "bench-1"
-bearing = "6311"
-low_risk = { speed_rpm_max = 4300, load_n_max = 3000 }
-[assets.channels]
-t_inner_ring_c = { source = "push" }
-"""
+ASSET = asset_text("bench-1", ["t_inner_ring_c"])
 TABLE = '{ designation = "6208-custom", bore_mm = 40, outer_mm = 80, width_mm = 18 }'
 DETAILS = """
 bore_mm = 40

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from pydantic import ValidationError
+from site_files import COLUMNS, asset_text
 
 from service.site.configuration import SettingsError, describe
 from service.site.machines.machine import Machine
@@ -221,18 +222,12 @@ def test_a_node_without_a_way_to_the_ambient_is_refused() -> None:
     assert "node 't_c_c' has no path to 'ambient'" in describe(caught.value)
 
 
-ASSET = """
-[[assets]]
-id = "gear-1"
-network = "own.toml"
-low_risk = { speed_rpm_max = 2000, load_n_max = 4000 }
-[assets.channels]
-speed_rpm = { source = "push" }
-load_n = { source = "push" }
-ambient_c = { source = "push" }
-t_bearing_c = { source = "push" }
-t_oil_c = { source = "push" }
-"""
+ASSET = asset_text(
+    "gear-1",
+    (*COLUMNS, "t_bearing_c", "t_oil_c"),
+    machine='network = "own.toml"',
+    low_risk=(2000, 4000),
+)
 
 
 def configuration(folder: Path, text: str = ASSET) -> Path:
@@ -285,7 +280,7 @@ def test_a_mistake_around_a_network_is_named(
 
 
 def test_what_the_document_on_networks_shows_is_valid() -> None:
-    text = (ROOT / "docs" / "networks.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "connect" / "networks.md").read_text(encoding="utf-8")
     blocks = re.findall(r"```toml\n(.*?)```", text, re.DOTALL)
     whole = [block for block in blocks if block.startswith("name =")]
     assert len(blocks) >= 3

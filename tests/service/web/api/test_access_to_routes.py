@@ -32,12 +32,15 @@ LEAST = {
     ("POST", "/api/v1/assets:remove"): "admin",
     ("GET", "/api/v1/assets/{asset_id}/configuration"): "engineer",
     ("GET", "/api/v1/provisioning"): "engineer",
+    ("GET", "/api/v1/provisioning/removed"): "viewer",
     ("GET", "/api/v1/assets/{asset_id}/snapshot"): "viewer",
     ("GET", "/api/v1/assets/{asset_id}/state"): "viewer",
     ("GET", "/api/v1/assets/{asset_id}/verdict"): "viewer",
     ("POST", "/api/v1/assets/{asset_id}/grease-renewed"): "engineer",
     ("GET", "/api/v1/assets/{asset_id}/measurements"): "viewer",
     ("POST", "/api/v1/assets/{asset_id}/measurements"): "admin",
+    ("POST", "/api/v1/measurements"): "admin",
+    ("POST", "/api/v1/write"): "admin",
     ("GET", "/api/v1/assets/{asset_id}/forecast"): "viewer",
     ("POST", "/api/v1/assets/{asset_id}/forecasts"): "operator",
     ("GET", "/api/v1/assets/{asset_id}/forecasts"): "viewer",
@@ -96,6 +99,7 @@ LEAST = {
     ("GET", "/api/v1/alarm-settings/history"): "viewer",
     ("GET", "/api/v1/silences"): "viewer",
     ("POST", "/api/v1/silences"): "operator",
+    ("POST", "/api/v1/silences/end"): "operator",
     ("DELETE", "/api/v1/silences/{silence_id}"): "operator",
     ("GET", "/api/v1/session"): "viewer",
     ("DELETE", "/api/v1/session"): "viewer",
@@ -106,6 +110,8 @@ GATEWAY = {
     ("GET", "/api/v1/assets"),
     ("GET", "/api/v1/assets/{asset_id}"),
     ("POST", "/api/v1/assets/{asset_id}/measurements"),
+    ("POST", "/api/v1/measurements"),
+    ("POST", "/api/v1/write"),
 }
 REFUSED = (401, 403)
 

@@ -1,3 +1,4 @@
+import asyncio
 import contextlib
 import csv
 import io
@@ -5,6 +6,7 @@ import json
 import sqlite3
 from typing import Any
 
+from service.alarms import AlarmCondition
 from service.clock import rfc3339
 from service.documents.alarms import (
     AcknowledgedAlarms,
@@ -13,6 +15,7 @@ from service.documents.alarms import (
     AlarmList,
     AlarmStatistics,
 )
+from service.pauses import MeasuredCoroutine
 
 ALARMS = "/api/v1/alarms"
 
@@ -102,6 +105,15 @@ async def test_journal_comes_newest_first_in_pages(world: Any) -> None:
             break
         response = await client.get(response.links["next"]["url"])
     assert channels == [f"t_node_{number}_c" for number in (5, 4, 3, 2, 1)]
+
+
+async def test_each_line_of_the_journal_has_the_unit_of_its_alarm(world: Any) -> None:
+    for channel, unit in (("t_inner_ring_c", "°C"), ("t_outer_ring_c", "K"), ("load_n", None)):
+        hot = AlarmCondition("bench-1", "deviation", channel, "", True, 15.5, "over", 2, unit=unit)
+        world.alarms.evaluate(hot)
+    answer = (await world.client("viewer").get(f"{ALARMS}/journal")).json()
+    units = {line["channel"]: line["unit"] for line in answer["items"]}
+    assert units == {"t_inner_ring_c": "°C", "t_outer_ring_c": "K", "load_n": None}
 
 
 async def test_journal_can_be_limited_in_time(world: Any) -> None:
@@ -234,6 +246,7 @@ async def test_the_journal_is_filtered_and_exported(world: Any) -> None:
 async def test_statistics_count_what_called_for_an_operator(world: Any) -> None:
     for number in range(1, 12):
         world.raise_alarm(f"t_node_{number}_c")
+    assert world.context.outbox.flush(30.0)
     answer = (await world.client("viewer").get(f"{ALARMS}/statistics")).json()
     statistics = AlarmStatistics.model_validate(answer)
     assert (statistics.last_10_min, statistics.flood) == (11, True)
@@ -296,3 +309,35 @@ async def test_alarms_come_in_pages_of_the_same_order(world: Any) -> None:
         assert found == whole
     for wrong in ({"cursor": more["cursor"]}, {"limit": 2, "cursor": "x"}, {"limit": 0}):
         assert (await world.client("viewer").get(ALARMS, params=wrong)).status_code == 422
+
+
+#: Mean processor time between two pauses that is too long; a pause is due after a tenth of it.
+_STEP_S = 0.005
+
+
+async def test_a_poll_comes_in_between_however_many_alarms_a_caller_asks_for(world: Any) -> None:
+    world.alarms.evaluate_all(
+        AlarmCondition(
+            asset=f"bench-{number % 10}",
+            kind="measured limit",
+            channel=f"t_node_{number}_c",
+            level="warning",
+            active=number % 2 == 0,
+            value=91.0,
+            message="over its warning limit",
+            priority=2,
+        )
+        for number in range(2000)
+    )
+    ids = [alarm.id for alarm in world.alarms.active()]
+    for work in (
+        world.alarm_answers.listed(),
+        world.alarm_answers.listed(normal=True),
+        world.alarm_answers.acknowledge(ids[:500], "eva", ""),
+        world.alarm_answers.acknowledge(ids[:500], "eva", ""),  # refused
+    ):
+        steps_s: list[float] = []
+        await asyncio.create_task(MeasuredCoroutine(work, steps_s.append))
+        # In one go it would be two: one of the work, and one behind the wait for the disk.
+        assert len(steps_s) > 1 + sum(steps_s) / _STEP_S, steps_s
+    assert sum(one.state == "ACKED" for one in world.alarms.active()) == 500

@@ -17,7 +17,7 @@ PAGE = {"Sec-Fetch-Site": "same-origin", "Sec-Fetch-Mode": "cors"}
 # Calls that change nothing that anybody would ask about, or that write their line themselves.
 SILENT = {
     *(
-        (method, f"/api/v1/commissioning/{work}")  # see test_commissioning_api.py
+        (method, f"/api/v1/commissioning/{work}")  # see test_commissioning_routes.py
         for method, work in [
             ("POST", "units"),
             ("POST", "registers"),
@@ -30,6 +30,8 @@ SILENT = {
     ),
     ("POST", "/api/v1/assets/{asset_id}/forecasts"),
     ("POST", "/api/v1/assets/{asset_id}/measurements"),
+    ("POST", "/api/v1/measurements"),
+    ("POST", "/api/v1/write"),
     ("POST", "/api/v1/session"),
     ("POST", "/api/v1/keys"),
     ("DELETE", "/api/v1/keys/{key_id}"),

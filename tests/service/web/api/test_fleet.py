@@ -9,10 +9,11 @@ from typing import Any
 import pytest
 
 from service.bus import commands as ask
+from service.bus.calls import command_type
 from service.bus.memory import MemoryBus
 from service.bus.replica import digest
 from service.bus.replicas import PORTION, Replicas
-from service.bus.stream import Bus
+from service.bus.stream import LiveMessages
 from service.clock import ProcessClock
 from service.documents.fleet import ATTENTIONS, FleetAlarm, FleetAsset
 from service.documents.limits import Limit
@@ -72,7 +73,7 @@ def asset_of(name: str, chance: random.Random) -> FleetAsset:
 
 
 class Cell:
-    """A cell that has nothing but glances, and counts what it is asked."""
+    """A cell that has nothing but summaries, and counts what it is asked."""
 
     def __init__(self, count: int) -> None:
         chance = random.Random(5)
@@ -83,19 +84,19 @@ class Cell:
         self.most_at_once = 0
         self.silent = False
 
-    async def names(self, command: ask.AssetNames) -> dict[str, int]:
+    async def names(self, command: Any) -> dict[str, int]:
         return dict.fromkeys(self.assets, 1)
 
-    async def documents(self, command: ask.GetDocuments) -> list[ask.Document]:
+    async def documents(self, command: Any) -> list[ask.PackedDocument]:
         if self.silent:
             raise CellUnavailableError("silent")
         self.most_at_once = max(self.most_at_once, len(command.wanted))
         made = []
         for wanted in command.wanted:
-            if wanted.kind == "glance":
+            if wanted.kind == "asset_summary":
                 self.asked[wanted.asset] += 1
-            text = self.assets[wanted.asset].to_bytes() if wanted.kind == "glance" else b"{}"
-            made.append(ask.Document(digest(text), text))
+            text = self.assets[wanted.asset].to_bytes() if wanted.kind == "asset_summary" else b"{}"
+            made.append(ask.PackedDocument(digest(text), text))
         return made
 
 
@@ -105,7 +106,7 @@ class Followed:
     def __init__(self, count: int) -> None:
         self.cell = Cell(count)
         self.joint = MemoryBus()
-        self.bus = Bus(ProcessClock())
+        self.bus = LiveMessages(ProcessClock())
         self.replicas = Replicas(self.joint)
         self.fleet = Overview(self.replicas, self.bus)
 
@@ -114,8 +115,8 @@ class Followed:
 async def followed() -> AsyncIterator[Followed]:
     one = Followed(MANY)
     handlers: dict[Any, Any] = {
-        ask.AssetNames: one.cell.names,
-        ask.GetDocuments: one.cell.documents,
+        command_type(ask.Assets.names): one.cell.names,
+        command_type(ask.Assets.documents): one.cell.documents,
     }
     serving = asyncio.create_task(one.joint.serve(handlers))
     await asyncio.sleep(0)
@@ -234,7 +235,7 @@ async def test_nothing_old_is_shown_as_it_was(
 async def test_a_client_pages_through_the_fleet(world: Any) -> None:
     viewer = world.client("viewer")
     world.rig.at_a_glance = {"state": "over", "attention": "over", "now": "not safe"}
-    world.context.fleet.replicas.changed()
+    world.context.fleet.replicas.changed(None)
     path = "/api/v1/fleet?limit=1"
     async with asyncio.timeout(PATIENCE_S):
         while (await viewer.get(path)).json()["items"][0]["id"] != "rig-2":  # noqa: ASYNC110 - nobody tells

@@ -7,11 +7,16 @@ import pytest
 from prometheus_client import Counter
 
 from adapters.samples import Sample
+from service.bus import health_reports
+from service.bus.commands import Present
+from service.bus.memory import MemoryBus
+from service.bus.messages import CellState
 from service.documents.health import Ready
 from service.site.settings import SecuritySection
 
 
 async def ready(world: Any, role: str | None = None) -> tuple[int, Ready]:
+    await world.report()
     response = await world.client(role).get("/readyz")
     return response.status_code, Ready.model_validate(response.json())
 
@@ -40,6 +45,14 @@ async def test_broken_source_degrades_and_hosts_are_told_to_keys_only(world: Any
     assert "10.1.2.3" not in document.model_dump_json()
     assert "10.1.2.3" not in (await ready(world, "gateway"))[1].model_dump_json()
     assert "10.1.2.3" in (await ready(world, "viewer"))[1].model_dump_json()
+
+
+async def test_assets_of_which_none_can_be_followed_are_not_ready(world: Any) -> None:
+    world.health.follows_nothing = lambda: True
+    status, document = await ready(world, "viewer")
+    assert (status, document.status) == (503, "not ready")
+    check = next(check for check in document.checks if check.name == "followed")
+    assert (check.status, check.detail) == ("failed", "no asset is followed; see assets")
 
 
 async def test_broken_sensor_degrades(world: Any) -> None:
@@ -82,6 +95,56 @@ async def test_store_that_does_not_answer_degrades_while_the_spool_takes_samples
         assert check.status == "failed"
 
 
+async def test_a_publisher_that_does_not_reach_its_broker_degrades_and_is_named(world: Any) -> None:
+    await world.health.present(
+        Present("plant", 10**8, publishers={"mqtt": "10.1.2.3:1883: refused", "opcua": ""})
+    )
+    status, document = await ready(world, "viewer")
+    assert (status, document.status) == (200, "degraded")
+    publishers = [one for one in document.checks if one.name.startswith("publisher:")]
+    assert [(one.name, one.status, one.detail) for one in publishers] == [
+        ("publisher:mqtt", "degraded", "10.1.2.3:1883: refused"),
+        ("publisher:opcua", "ok", "hands everything on"),
+    ]
+    assert "10.1.2.3" not in (await ready(world))[1].model_dump_json()
+    await world.health.present(Present("plant", 10**8, publishers={"mqtt": "", "opcua": ""}))
+    assert (await ready(world))[1].status == "ready"
+
+
+async def test_who_asks_for_health_and_metrics_never_asks_the_cell(
+    world: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def asked(self: Any, command: Any, patience_s: float) -> Any:
+        raise AssertionError(f"the cell was asked {command}")
+
+    monkeypatch.setattr(MemoryBus, "ask", asked)
+    for _ in range(3):
+        assert (await world.client().get("/readyz")).status_code == 200
+        text = (await world.client("viewer").get("/metrics")).text
+        assert "bearing_twin_samples_accepted_total" in text
+
+
+async def test_a_cell_that_does_not_say_how_it_is_fails(
+    world: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(health_reports, "HEALTH_HOLDS_S", 0.05)
+    await asyncio.sleep(0.1)
+    response = await world.client("viewer").get("/readyz")
+    (check,) = Ready.model_validate(response.json()).checks
+    assert (response.status_code, check.name, check.status) == (503, "cell", "failed")
+    assert "has not said how it is" in (check.detail or "")
+    assert (await ready(world))[0] == 200
+    # One that has begun again has not said anything yet.
+    world.joint.epoch = "another"
+    world.joint.report(CellState(waits_for="the store"))
+    response = await world.client("viewer").get("/readyz")
+    (check,) = Ready.model_validate(response.json()).checks
+    assert (response.status_code, check.detail) == (503, "the cell waits for the store")
+    monkeypatch.setattr(MemoryBus, "away_s", 3.0)
+    (check,) = Ready.model_validate((await world.client("viewer").get("/readyz")).json()).checks
+    assert check.detail == "no sign of the cell for 3 s"
+
+
 async def test_keys_cannot_be_checked_without_the_store(world: Any) -> None:
     client = world.client("viewer")
     world.store.close()
@@ -95,6 +158,7 @@ async def test_keys_cannot_be_checked_without_the_store(world: Any) -> None:
 
 async def test_metrics_show_the_registry(world: Any) -> None:
     Counter("bearing_twin_test", "For the test.", registry=world.context.registry).inc(3)
+    await world.report()
     response = await world.client("viewer").get("/metrics")
     assert response.headers["content-type"].startswith("text/plain")
     assert "bearing_twin_test_total 3.0" in response.text

@@ -269,7 +269,7 @@ async def test_parquet_gives_the_whole_span_in_one_file(world: Any) -> None:
 async def test_the_small_files_of_the_page_come_packed(world: Any) -> None:
     """A page is many of them; an answer of that size that is polled is sooner sent as it is."""
     client = world.client("viewer")
-    module = await client.get("/js/dom.js")
+    module = await client.get("/js/fleet/marks.js")
     assert module.headers["content-encoding"] == "gzip"
     assert 1024 <= len(module.content) < 4096
     answer = await client.get("/api/v1/alarms/statistics")

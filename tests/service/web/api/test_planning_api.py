@@ -1,8 +1,11 @@
-"""Envelope and advice over HTTP: what is passed on, and what is answered when there is none."""
+"""The envelope over HTTP, and how many calculations a key may have running."""
 
+import asyncio
 from typing import Any
 
 import pytest
+
+from service.bus.replica import AssetReplica
 
 ENVELOPE = "/api/v1/assets/bench-1/envelope"
 ADVICE = "/api/v1/assets/bench-1/advice"
@@ -23,60 +26,112 @@ async def test_envelope_before_the_first_data_is_to_be_tried_again(world: Any) -
     assert "first good" in answer.json()["detail"]
 
 
-async def test_advice_is_asked_for_the_point_of_the_query(world: Any) -> None:
+class HeldQuestions:
+    """Lets the test say when a study ends."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.begun: list[str] = []
+        self.release = asyncio.Event()
+        compute = AssetReplica.compute
+
+        async def held(asset: AssetReplica, question: Any, *arguments: Any) -> Any:
+            self.begun.append(question.__name__)
+            await self.release.wait()
+            return await compute(asset, question, *arguments)
+
+        monkeypatch.setattr(AssetReplica, "compute", held)
+
+    async def until_begun(self, count: int) -> None:
+        async with asyncio.timeout(30):
+            while len(self.begun) < count:  # noqa: ASYNC110
+                await asyncio.sleep(0.01)
+
+
+async def test_views_that_are_open_at_the_same_time_share_one_envelope(
+    world: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One key for a control room is usual: more views than one key has turns."""
+    held = HeldQuestions(monkeypatch)
+    viewer, admin = world.client("viewer"), world.client("admin")
+    asking = [asyncio.create_task(viewer.get(ENVELOPE)) for _ in range(12)]
+    asking.append(asyncio.create_task(admin.get(ENVELOPE)))
+    await held.until_begun(1)
+    await asyncio.sleep(0.2)
+    held.release.set()
+    answers = await asyncio.gather(*asking)
+    assert {answer.status_code for answer in answers} == {200}
+    assert held.begun == ["envelope"]
+
+
+async def test_a_refusal_says_how_many_calculations_are_running(
+    world: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    held = HeldQuestions(monkeypatch)
     client = world.client("engineer")
-    answer = await client.get(ADVICE, params={"speed_rpm": 6200, "load_n": 5500})
-    asked = {"speed_rpm": 6200, "load_n": 5500, "duration_s": 7200}
-    assert answer.json()["target"].items() >= asked.items()
-    longer = {"speed_rpm": 6200, "load_n": 0, "duration_s": 600.5}
-    answer = await client.get(ADVICE, params=longer)
-    assert answer.json()["target"].items() >= longer.items()
+    asking = [
+        asyncio.create_task(client.get(ADVICE, params={"speed_rpm": 6000 + i, "load_n": 5500}))
+        for i in range(6)
+    ]
+    done, _ = await asyncio.wait(asking, return_when=asyncio.FIRST_COMPLETED)
+    (refused,) = (one.result() for one in done)
+    assert refused.status_code == 503
+    assert refused.json()["detail"] == "busy: five calculations are running with this key"
+    assert int(refused.headers["retry-after"]) > 0
+    held.release.set()
+    answers = await asyncio.gather(*asking)
+    assert sorted(answer.status_code for answer in answers) == [200] * 5 + [503]
 
 
-async def test_advice_without_an_identified_model_is_a_conflict(world: Any) -> None:
-    world.bench.identified = False
-    answer = await world.client("engineer").get(ADVICE, params={"speed_rpm": 6200, "load_n": 5500})
-    assert answer.status_code == 409
-    assert answer.headers["content-type"] == "application/problem+json"
-    assert "no identified model yet" in answer.json()["detail"]
+async def test_a_client_that_leaves_takes_its_study_with_it(
+    world: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    held = HeldQuestions(monkeypatch)
+    first = asyncio.create_task(world.client("viewer").get(ENVELOPE))
+    await held.until_begun(1)
+    leaves = asyncio.Event()
+    answers = [
+        asyncio.create_task(_get_until(world, leaves, f"speed_rpm={6000 + i}&load_n=5500"))
+        for i in range(3)
+    ]
+    await asyncio.sleep(0.2)
+    leaves.set()
+    await asyncio.gather(*answers)
+    held.release.set()
+    assert (await first).status_code == 200
+    await world.client("viewer").get(ENVELOPE)
+    assert held.begun == ["envelope", "envelope"]
 
 
-@pytest.mark.parametrize(
-    ("query", "parameter"),
-    [
-        ("load_n=5500", "speed_rpm"),
-        ("speed_rpm=6200", "load_n"),
-        ("speed_rpm=0&load_n=5500", "speed_rpm"),
-        ("speed_rpm=20001&load_n=5500", "speed_rpm"),
-        ("speed_rpm=fast&load_n=5500", "speed_rpm"),
-        ("speed_rpm=nan&load_n=5500", "speed_rpm"),
-        ("speed_rpm=6200&load_n=-1", "load_n"),
-        ("speed_rpm=6200&load_n=inf", "load_n"),
-        ("speed_rpm=6200&load_n=5500&duration_s=0", "duration_s"),
-        ("speed_rpm=6200&load_n=5500&duration_s=172801", "duration_s"),
-    ],
-)
-async def test_a_wrong_point_is_named(world: Any, query: str, parameter: str) -> None:
-    answer = await world.client("engineer").get(f"{ADVICE}?{query}")
-    assert answer.status_code == 422
-    assert [error["parameter"] for error in answer.json()["errors"]] == [parameter]
+async def _get_until(world: Any, leaves: asyncio.Event, query: str) -> None:
+    """Ask for advice and disconnect."""
+
+    async def receive() -> Any:
+        if not asked:
+            asked.append(True)
+            return {"type": "http.request", "body": b"", "more_body": False}
+        await leaves.wait()
+        return {"type": "http.disconnect"}
+
+    async def send(message: Any) -> None:
+        pass
+
+    asked: list[bool] = []
+    scope = {
+        "type": "http", "http_version": "1.1", "method": "GET", "scheme": "http", "path": ADVICE,
+        "raw_path": ADVICE.encode(), "query_string": query.encode(), "root_path": "",
+        "asgi": {"version": "3.0"}, "client": ("127.0.0.1", 4711), "server": ("127.0.0.1", 80),
+        "headers": [(b"host", b"127.0.0.1"), (b"x-api-key", world.keys["engineer"].encode())],
+    }  # fmt: skip
+    await world.app(scope, receive, send)
 
 
-@pytest.mark.parametrize("path", [ENVELOPE, f"{ADVICE}?speed_rpm=6200&load_n=5500"])
-async def test_an_unknown_asset_is_named(world: Any, path: str) -> None:
-    answer = await world.client("admin").get(path.replace("bench-1", "bench-9"))
+async def test_an_unknown_asset_is_named(world: Any) -> None:
+    answer = await world.client("admin").get(ENVELOPE.replace("bench-1", "bench-9"))
     assert answer.status_code == 404
     assert "bench-9" in answer.json()["detail"]
 
 
-async def test_openapi_describes_both_with_units_and_examples(world: Any) -> None:
-    schema = (await world.client().get("/openapi.json")).json()
-    paths, schemas = schema["paths"], schema["components"]["schemas"]
-    advice = paths["/api/v1/assets/{asset_id}/advice"]["get"]
-    described = {one["name"]: one for one in advice["parameters"]}
-    assert "revolutions per minute" in described["speed_rpm"]["description"]
-    assert "newtons" in described["load_n"]["description"]
-    assert {"404", "409", "422", "503"} <= advice["responses"].keys()
+async def test_openapi_describes_the_envelope_with_examples(world: Any) -> None:
+    schemas = (await world.client().get("/openapi.json")).json()["components"]["schemas"]
     envelope = schemas["EnvelopeDocument"]["properties"]
     assert envelope["horizon_s"]["examples"] == [28800]
-    assert "half_width_k" in schemas["AdvisedStep"]["properties"]

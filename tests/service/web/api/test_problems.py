@@ -184,7 +184,7 @@ async def test_what_nobody_expected_is_logged_and_says_nothing(world: Any) -> No
         problem = problem_of(await world.client("viewer").get("/api/v1/assets/bench-1"), 500)
     assert "ZeroDivisionError" not in problem.model_dump_json()
     of_cell, entry = logs
-    assert (of_cell["event"], of_cell["command"]) == ("command_failed", "GetDocuments")
+    assert (of_cell["event"], of_cell["command"]) == ("command_failed", "Assets.documents")
     assert (entry["event"], entry["path"]) == ("request_failed", "/api/v1/assets/bench-1")
     for one in logs:
         assert "ZeroDivisionError" in one["traceback"]

@@ -233,7 +233,7 @@ async def test_samples_from_before_what_is_kept_are_rejected_and_counted(world: 
     assert (answer.accepted, answer.duplicates) == (1, 0)
     assert [one.index for one in answer.rejected] == [0, 2]
     assert all("too old, history before" in one.detail for one in answer.rejected)
-    skipped = world.answers.parts.registry.get_sample_value(
+    skipped = world.health.registry.get_sample_value(
         "bearing_twin_samples_skipped_total", {"reason": "too_old"}
     )
     assert skipped == 2

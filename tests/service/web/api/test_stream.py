@@ -22,6 +22,8 @@ from service.security.limits import RateLimit
 from service.web.api.routes import stream
 from service.web.shares import Shares
 
+pytestmark = pytest.mark.wires
+
 PATH = "/api/v1/stream"
 # Much longer than any of this takes on a machine that does nothing else.
 PATIENCE_S = 30.0

@@ -1,78 +1,38 @@
 // The page: session, frame, views.
-import { AlarmDesk } from './alarm_desk.js';
-import { AlarmSound } from './alarm_sound.js';
-import { ApiError, onRefusedKey } from './api.js';
-import { Banner } from './banner.js';
-import { ProcessClock } from './clock.js';
-import { notify } from './dialogs.js';
-import { find, h, put } from './dom.js';
-import {
-  driverChips, Header, JobStrip, LostStrip, lostState, sourceChips,
-} from './frame.js';
-import { listAssets, Live } from './live.js';
-import { currentSession, logInFromAddress, logOut, showLogin } from './login.js';
-import { assetHash, readHash } from './route.js';
-import { liveDetail, situation } from './situation.js';
-import { showWaiting } from './waiting_dialog.js';
-import { fetchStyle } from './styles.js';
+import { AlarmDesk } from './alarms/desk.js';
+import { AlarmSound } from './alarms/sound.js';
+import { assetsOf } from './alarms/alarm.js';
+import { ApiError, currentSession, onRefusedKey } from './app/api.js';
+import { ProcessClock } from './live/clock.js';
+import { notify } from './parts/dialogs.js';
+import { find } from './parts/dom.js';
+import { draw, place, v } from './parts/panel.js';
+import { Banner, driverChips, Header, lostState, showLost, sourceChips } from './app/frame.js';
+import { listAssets, Live } from './live/live.js';
+import { Login, logInFromAddress, logOut } from './app/login.js';
+import { assetHash, readHash } from './app/route.js';
+import { liveDetail, situation } from './live/situation.js';
+import { emptyAsset } from './live/store.js';
+import { fetchStyle } from './app/styles.js';
+import { VIEWS } from './app/views.js';
+import { OperatorView } from './operator/view.js';
+import { showWaiting } from './alarms/list.js';
 
-// Views are fetched when they are first shown, so that the first of them is there at once; `style`
-// is the style sheet of a view that has one of its own.
-const VIEWS = {
-  fleet: {
-    title: 'Fleet', from: 'viewer', style: 'css/fleet.css',
-    load: async () => (live.many ? (await import('./views/fleet_map.js')).FleetMapView
-      : (await import('./views/fleet.js')).FleetView),
-  },
-  operator: {
-    title: 'Operator', from: 'viewer', load: async () => (await import('./views/operator.js')).OperatorView,
-  },
-  whatif: {
-    title: 'What-if', from: 'operator', load: async () => (await import('./views/whatif.js')).WhatIfView,
-    style: 'css/whatif.css',
-  },
-  envelope: {
-    title: 'Envelope', from: 'viewer', load: async () => (await import('./views/envelope.js')).EnvelopeView,
-    style: 'css/envelope.css',
-  },
-  engineer: {
-    title: 'Engineer', from: 'engineer', load: async () => (await import('./views/engineer.js')).EngineerView,
-    style: 'css/engineer.css',
-  },
-  history: {
-    title: 'History', from: 'viewer', load: async () => (await import('./views/history.js')).HistoryView,
-    style: 'css/history.css',
-  },
-  accuracy: {
-    title: 'Accuracy', from: 'viewer', load: async () => (await import('./views/accuracy.js')).AccuracyView,
-    style: 'css/accuracy.css',
-  },
-  alarms: {
-    title: 'Alarms', from: 'viewer', load: async () => (await import('./views/alarms.js')).AlarmsView,
-  },
-  assets: {
-    title: 'Assets', from: 'engineer', load: async () => (await import('./views/assets.js')).AssetsView,
-    style: 'css/assets.css',
-  },
-  // Reached from Assets, and fetched only then: a bench is put into service once.
-  commissioning: {
-    title: 'Commissioning', from: 'admin', style: 'css/commissioning.css', hidden: true,
-    load: async () => (await import('./views/commissioning.js')).CommissioningView,
-  },
-};
 const FETCH_OTHERS_MS = 3000;
-/** Views that show no asset of their own. */
-const OF_ALL = ['fleet', 'alarms', 'assets', 'commissioning'];
-/** Views that can be shown without any asset. */
-const OF_NONE = ['assets', 'commissioning'];
+/** Views that show no asset of their own, and those that can be shown without any. */
+const OF_ALL = Object.keys(VIEWS).filter((name) => VIEWS[name].of);
+const OF_NONE = OF_ALL.filter((name) => VIEWS[name].of === 'none');
 const ROLES = ['viewer', 'operator', 'engineer', 'admin'];
 const TICK_MS = 250;
 const AWAY_RETRY_MS = 3000;
-
 const clock = new ProcessClock();
 const live = new Live(clock, {
   onLoggedOut: () => start('Your key is no longer valid, or your session has ended.'),
   onAssets: takeAssets,
+  onLink: () => {
+    refresh();
+    updateFrame();
+  },
   onFeed: (one) => one.store.on(['alarms', 'forecast', 'verdict', 'tags', 'link'], updateFrame, 250),
 });
 onRefusedKey(() => live.isLoggedOut());
@@ -87,7 +47,6 @@ let shown = ''; // name of the view on the page; '' where the address leads nowh
 
 const several = () => assets.length > 1;
 const may = (role) => ROLES.indexOf(session?.role) >= ROLES.indexOf(role);
-/** Why this user may not do what needs a role, or ''. */
 const refusal = (role) =>
   (may(role) ? '' : `Needs the role ${role}; you are logged in as ${session?.role}.`);
 /** Whether a view can be shown with the assets that there are; only one needs none. */
@@ -99,7 +58,6 @@ const viewName = () => {
   const known = VIEWS[name] && may(VIEWS[name].from) && isOf(name);
   return known ? name : several() && !name ? 'fleet' : 'operator';
 };
-/** Why the address leads nowhere, or ''. */
 const nowhere = () => {
   const { view: name, asset } = readHash();
   if (!assets.length) {
@@ -111,11 +69,18 @@ const nowhere = () => {
   return `Unknown asset “${asset}”. It may have been renamed or removed.`;
 };
 const nameOf = (id) => live.feeds.get(id)?.store.get('asset')?.name ?? live.assets.get(id)?.name ?? id;
+/** Name of the asset of an alarm; '' where it has several, which its message counts. */
+const nameOfAlarm = (alarm) => (assetsOf(alarm).length === 1 ? nameOf(assetsOf(alarm)[0]) : '');
+const detailOf = (alarm) => {
+  const known = assetsOf(alarm).map((id) => live.feeds.get(id)).find(Boolean);
+  const nothing = { ...emptyAsset(), link: live.link, sources: [] };
+  return liveDetail(known?.store.state ?? nothing, clock);
+};
 
 const desk = new AlarmDesk(live, refusal);
-const sound = new AlarmSound(() => live.alarms().map(({ alarm }) => alarm));
+const sound = new AlarmSound(() => live.alarms());
 const page = {
-  clock, may, refusal, notify, desk, nameOf, sound,
+  clock, may, refusal, notify, desk, nameOf, nameOfAlarm, detailOf, sound,
   connection: live, // all assets
   get store() { return feed.store; },
   get live() { return feed; },
@@ -125,27 +90,27 @@ const page = {
   wish: null, // a point that one view hands over to another: { speed_rpm, load_n }
 };
 
-const jobBox = h('div', { id: 'jobstrip' });
-const header = new Header(find('#top'), jobBox, {
-  chooseAsset: (id) => page.openAsset(id, viewName()),
-  switchTheme: () => setTheme(document.documentElement.dataset.theme === 'dark' ? 'light' : 'dark'),
-  logOut: async () => {
-    live.stop();
-    await whileAway(logOut);
-    start();
+const SIGNED_OUT = { session: null, views: [], assets: [], asset: null, sources: [], jobs: new Map() };
+const header = place(find('#top'), Header, {
+  ...SIGNED_OUT, clock, link: live.link, theme: '', actions: {
+    chooseAsset: (id) => page.openAsset(id, viewName()),
+    switchTheme: () => setTheme(document.documentElement.dataset.theme === 'dark' ? 'light' : 'dark'),
+    logOut: async () => {
+      live.stop();
+      await whileAway(logOut);
+      start();
+    },
   },
 });
-const strip = new LostStrip(find('#lost'), () => live.stream?.tryNow());
 const banner = new Banner(find('#banner'), desk, () => showWaiting(desk, {
-  alarms: () => bannerFeeds().flatMap((one) => [...one.store.get('alarms').values()]),
+  alarms: bannerAlarms,
   ...bannerWords(),
 }));
-const jobs = new JobStrip(jobBox);
 
 function setTheme(theme) {
   document.documentElement.dataset.theme = theme;
   localStorage.setItem('theme', theme);
-  header.showTheme(theme);
+  header.update({ theme });
   if (view) showView(); // canvases take their colours when they are made
 }
 
@@ -158,7 +123,7 @@ async function showView() {
   if (VIEWS[asked] && asked !== name && assets.length) {
     notify(refusal(VIEWS[asked].from) || 'Only one asset is configured.');
   }
-  put(main).className = `v-${shown || 'nowhere'}`;
+  main.className = `v-${shown || 'nowhere'}`;
   document.body.dataset.view = shown || 'nowhere';
   showHeader();
   latest += 1;
@@ -172,11 +137,11 @@ async function showView() {
   try {
     [View] = await Promise.all([fetchView(name), !ofAll() && knowFeed(looked)]);
   } catch {
-    put(main, h('p', { class: 'panel waiting' }, 'Loading this view failed.'));
+    draw(main, v('p', { class: 'panel waiting' }, 'Loading this view failed.'));
     return;
   }
   if (mine !== latest || looked !== feed) return;
-  view = new View(main, page);
+  view = place(main, View, { page });
   updateFrame();
 }
 
@@ -188,36 +153,37 @@ async function knowFeed(one) {
 /** The views and the asset that is looked at; views of all assets look at none. */
 function showHeader() {
   const tabs = Object.entries(VIEWS).filter(([key, { hidden }]) => isOf(key) && !hidden);
-  header.showViews(tabs.map(([key, { title, from }]) => ({
+  const asset = ofAll() || shown === 'alarms' ? null : feed.assetId;
+  header.update({ assets, asset, views: tabs.map(([key, { title, from }]) => ({
     title, href: assetHash(key, several() ? feed.assetId : null), current: key === shown,
     reason: refusal(from),
-  })));
-  header.showAssets(assets, ofAll() ? null : feed.assetId);
+  })) });
 }
 
 /** The address names an asset or a view that is not there: no other is shown in its place. */
 function showNowhere() {
-  put(main, h('div', { class: 'panel waiting', role: 'status' }, h('p', {}, nowhere()),
-    assets.length > 0 && h('p', {}, several() ? h('a', { href: '#fleet' }, 'All assets')
-      : h('a', { href: '#operator' }, 'Operator view'))));
+  draw(main, v('div', { class: 'panel waiting', role: 'status' }, v('p', {}, nowhere()),
+    assets.length > 0 && v('p', {}, several() ? v('a', { href: '#fleet' }, 'All assets')
+      : v('a', { href: '#operator' }, 'Operator view'))));
   updateFrame();
 }
 
-/** The class of a view, once its style sheet is there too. */
+/** The operator's view comes with the page; the others are fetched when they are first shown. */
 async function fetchView(name) {
-  const { load, style } = VIEWS[name];
-  const [View] = await Promise.all([load(), style && fetchStyle(style)]);
-  return View;
+  if (name === 'operator') return OperatorView;
+  const file = name === 'fleet' && live.many ? 'map_view' : 'view';
+  const [module] = await Promise.all([import(`./${name}/${file}.js`),
+    VIEWS[name].style !== false && fetchStyle(`css/${name}.css`)]);
+  return module.View;
 }
 
-/** Have every view at hand before the service may be away. */
+/** Fetch every view before the service may be offline. */
 function fetchOthers() {
   for (const [name, { from, hidden }] of Object.entries(VIEWS)) {
     if (may(from) && !hidden) fetchView(name).catch(() => {});
   }
 }
 
-/** Show what the address asks for. */
 function follow() {
   chooseFeed();
   showView();
@@ -241,56 +207,52 @@ function takeAssets(list) {
   }
   chooseFeed();
   showHeader();
-  view?.assetsChanged?.();
+  view?.part.assetsChanged?.();
 }
 
-function tick() {
+function refresh() {
   const state = feed?.store.state;
-  header.tick({ link: live.link, sources: state ? chipsShown(state) : [] }, clock);
-  strip.tick(state ? lostState(state, clock, ofNone()) : null);
-  if (state) jobs.update(state.jobs);
+  header.update({ link: live.link, sources: state ? chipsShown(state) : [], ...(state && { jobs: state.jobs }) });
+  showLost(find('#lost'), state ? lostState(state, clock, ofNone()) : null, () => live.stream?.tryNow());
   sound.tick();
   showLink();
 }
 
-/** The sources of the asset that is looked at, or of all. */
 const chipsShown = (state) => (ofNone() ? driverChips(state, clock) : sourceChips(state, clock));
 
 /** A page without connection looks out of date and takes no input. */
 function showLink() {
-  const away = Boolean(live.stream) && live.link.status === 'away';
-  document.body.classList.toggle('away', away);
-  main.inert = away;
+  const offline = Boolean(live.stream) && live.link.status === 'offline';
+  document.body.classList.toggle('offline', offline);
+  main.inert = offline;
 }
 
-/** Whether the page speaks of all assets instead of one. */
-const ofAll = () => ['fleet', 'assets', 'commissioning', ''].includes(shown);
+const ofAll = () => !shown || (OF_ALL.includes(shown) && shown !== 'alarms');
 /** Whether no asset is known as a whole. */
 const ofNone = () => ofAll() || (live.many && shown === 'alarms');
+const bannerAlarms = () => live.alarms(ofAll() || shown === 'alarms' ? null : [feed]);
 const bannerFeeds = () => (ofAll() || shown === 'alarms' ? [...live.feeds.values()] : [feed]);
-/** Whose alarms the banner knows, or not yet. */
 const bannerStates = (feeds) => (live.many && feeds[0] !== feed ? [live]
   : feeds.map((one) => one.store.state));
 const bannerWords = () => ({
-  nameOf: (alarm) => (bannerFeeds().length > 1 ? nameOf(alarm.asset) : ''),
-  live: (alarm) => liveDetail(live.feeds.get(alarm.asset).store.state, clock),
+  nameOf: (alarm) => (bannerFeeds().length > 1 ? nameOfAlarm(alarm) : ''),
+  live: detailOf,
 });
 
 function updateFrame() {
   if (!live.stream || (!view && shown) || !(feed || ofAll())) return;
   const feeds = bannerFeeds();
-  const overall = live.many && ofAll() ? view?.overall : null;
+  const overall = live.many && ofAll() ? view?.part.overall : null;
   const answers = overall ? [] : feeds.map((one) => situation(one.store.state, clock));
   const words = overall?.words ?? answers.map((one) => one?.verdict.now.word);
   const blind = overall?.blind ?? answers.some((one) => one?.lostMs != null);
-  banner.update(feeds, { ...bannerWords(), blind, states: bannerStates(feeds) });
+  banner.update(bannerAlarms(), { ...bannerWords(), blind, states: bannerStates(feeds) });
   const mark = words.includes('not safe') ? '▲ ' : words.includes('unknown') ? '✕ ' : '';
   const title = VIEWS[shown]?.title ?? 'Not found';
   document.title = [mark + (ofAll() ? title : `${nameOf(feed.assetId)} · ${title}`),
     'Bearing Twin'].join(' · ');
 }
 
-/** Wait for a service that is not there (yet). */
 async function whileAway(action) {
   for (;;) {
     try {
@@ -298,7 +260,7 @@ async function whileAway(action) {
     } catch (error) {
       if (!(error instanceof ApiError)) throw error;
       const why = error.status === 0 ? 'The service does not answer' : `Service: ${error.message}`;
-      put(main, h('p', { class: 'panel waiting', role: 'status' }, `${why}. Retrying …`));
+      draw(main, v('p', { class: 'panel waiting', role: 'status' }, `${why}. Retrying …`));
       await new Promise((resolve) => setTimeout(resolve, AWAY_RETRY_MS));
     }
   }
@@ -313,16 +275,16 @@ async function start(reason = '') {
   document.body.dataset.view = 'start';
   document.title = 'Bearing Twin';
   document.querySelectorAll('dialog').forEach((dialog) => dialog.close());
-  header.showSession(null);
-  header.showViews([]);
-  header.showAssets([], null);
+  header.update(SIGNED_OUT);
   session = await whileAway(currentSession);
   while (!session) {
-    await showLogin(main, reason, offeredKey);
+    const login = { reason, offered: offeredKey };
+    await new Promise((done) => { place(main, Login, { ...login, done, key: Symbol('login') }); });
     offeredKey = '';
     session = await whileAway(currentSession);
+    draw(main);
   }
-  header.showSession(session);
+  header.update({ session });
   const list = await whileAway(listAssets);
   assets = list.items;
   live.start(list);
@@ -330,14 +292,19 @@ async function start(reason = '') {
   setTimeout(fetchOthers, FETCH_OTHERS_MS);
 }
 
-setInterval(tick, TICK_MS);
+setInterval(refresh, TICK_MS);
 setInterval(updateFrame, 1000); // times to limits run down between messages
 window.addEventListener('hashchange', () => {
   if (live.stream) follow();
 });
 setTheme(localStorage.getItem('theme') ?? 'dark');
-[offeredKey] = await Promise.all([
-  whileAway(logInFromAddress),
-  document.fonts.load('400 16px B612'), document.fonts.load('700 16px B612'),
-]);
-await start();
+
+async function begin() {
+  [offeredKey] = await Promise.all([
+    whileAway(logInFromAddress),
+    document.fonts.load('400 16px B612'), document.fonts.load('700 16px B612'),
+  ]);
+  await start();
+}
+
+begin(); // without a wait: a view that is fetched meanwhile needs this module to be complete

@@ -1,0 +1,1 @@
+"""What shows and measures the product: studies, benchmarks, the demo of several cells."""

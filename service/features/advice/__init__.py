@@ -1,0 +1,1 @@
+"""Which low-risk step teaches most about a planned point."""

@@ -1,0 +1,1 @@
+"""Settings of alarms are changed and rationalised over REST and as a sheet."""

@@ -1,0 +1,1 @@
+"""A bench is put into service from the page."""

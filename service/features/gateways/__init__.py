@@ -1,0 +1,1 @@
+"""Pushes of gateways that speak for many assets."""

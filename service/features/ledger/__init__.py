@@ -1,0 +1,1 @@
+"""The forecast ledger: what was forecast, compared with what came."""

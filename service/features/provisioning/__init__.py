@@ -1,0 +1,1 @@
+"""Assets are made, changed and removed while the service runs."""

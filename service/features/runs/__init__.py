@@ -1,0 +1,1 @@
+"""Runs of a machine: listed, named, annotated, reported."""

@@ -1,0 +1,1 @@
+"""Planned times without notifications of alarms."""

@@ -1,0 +1,1 @@
+"""Sisters: machines of one family teach each other where each has been."""

@@ -1,1 +1,0 @@
-"""What shows and measures the product: studies, benchmarks, demo."""

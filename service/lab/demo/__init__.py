@@ -1,1 +1,0 @@
-"""The demo: a virtual bench, the whole service on its wires, a story told and scored."""

@@ -1,1 +1,0 @@
-"""Alarms by e-mail and webhook: who is told what, how often, and when."""

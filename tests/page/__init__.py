@@ -1,0 +1,1 @@
+"""The page's pure modules in Node.js, without a browser; what draws is in `tests/browser`."""

@@ -1,0 +1,93 @@
+"""Seconds per file of tests: recorded in each run, and the order in which files are handed out.
+
+``tests/seconds.json`` holds those of a whole run on two idle cores. A run writes its own to
+``build/test-seconds.json`` and names the files that took half as long again; ``make seconds`` keeps
+the new figures.
+"""
+
+import json
+import re
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+from xdist.remote import Producer
+from xdist.scheduler import LoadScopeScheduling
+
+#: Files, by the beginning of their paths, whose tests share something that is slow to start: one
+#: worker of pytest-xdist runs them all; other files go one by one. Those of the browser take longer
+#: than a worker has: two of them start their plant.
+TOGETHER = (
+    r"tests/browser/test_[a-f]",
+    r"tests/browser/",
+    r"tests/faults/test_wires",
+    r"tests/service/offline/",
+    r"tests/twin_core/identification/",
+)
+RECORDED = Path(__file__).with_suffix(".json")
+MEASURED = Path(__file__).parents[1] / "build" / "test-seconds.json"
+#: A file grew when it takes this many times its recorded seconds, and this many seconds more.
+GROWN, GROWN_S = 1.5, 5.0
+
+
+def recorded() -> dict[str, float]:
+    """Seconds of each file in the run that was kept."""
+    seconds: dict[str, float] = json.loads(RECORDED.read_text()) if RECORDED.exists() else {}
+    return seconds
+
+
+def group(nodeid: str) -> str:
+    """What a test is handed out with."""
+    file = file_of(nodeid)
+    if file.endswith("_parts.py"):  # modules of the page alone, without a service
+        return file
+    return next((together for together in TOGETHER if re.match(together, file)), file)
+
+
+def file_of(nodeid: str) -> str:
+    """The file of a test."""
+    return nodeid.partition("::")[0]
+
+
+def longest_first(items: Sequence[pytest.Item], seconds: dict[str, float]) -> list[pytest.Item]:
+    """Tests in the order in which they are handed out: the group with most seconds first."""
+    totals: Counter[str] = Counter()
+    for file in {file_of(item.nodeid) for item in items}:
+        totals[group(file)] += seconds.get(file, 0.0)
+    return sorted(items, key=lambda item: -totals[group(item.nodeid)])
+
+
+class Sharing(LoadScopeScheduling):
+    """Hands out files, and groups of files, in the order in which they were collected."""
+
+    def _split_scope(self, nodeid: str) -> str:
+        return group(nodeid)
+
+
+class Seconds:
+    """Records what each file takes, fixtures included."""
+
+    def __init__(self) -> None:
+        self._taken: Counter[str] = Counter()
+
+    def pytest_xdist_make_scheduler(self, config: pytest.Config, log: Producer) -> Sharing:
+        return Sharing(config, log)
+
+    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        items[:] = longest_first(items, recorded())
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        self._taken[file_of(report.nodeid)] += report.duration
+
+    def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
+        taken = {file: round(seconds, 2) for file, seconds in sorted(self._taken.items())}
+        MEASURED.parent.mkdir(exist_ok=True)
+        earlier = json.loads(MEASURED.read_text()) if MEASURED.exists() else {}
+        MEASURED.write_text(json.dumps(earlier | taken, indent=0, sort_keys=True) + "\n")
+        before = recorded()
+        for file, seconds in taken.items():
+            if file in before and seconds > max(GROWN * before[file], before[file] + GROWN_S):
+                terminalreporter.write_line(
+                    f"{file} took {seconds:.0f} s, recorded are {before[file]:.0f} s", yellow=True
+                )
