@@ -24,10 +24,11 @@ check: lint
 	$(PYTEST) --numprocesses=2 -m "not wires and not browser and $(SHORT)"
 
 # The types are checked on one core while another compiles the kernels, and the tests themselves: each
-# worker would do that again. Many tests wait for processes: three workers keep two cores at work.
+# worker would do that again. What fails has a second look (tools/gate.py). A part:
+# make test TESTS="tests/service/store".
 test: $(VENV)/.installed-test
 	@$(MAKE) --no-print-directory --jobs=2 lint compiled
-	$(PYTEST) --numprocesses=3
+	$(BIN)/python -m tools.gate $(TESTS)
 
 # Before a release: `make test`, and then what takes long; gates of time one by one, on quiet cores.
 test-all: test

@@ -80,7 +80,11 @@ class Seconds:
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         self._taken[file_of(report.nodeid)] += report.duration
 
-    def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
+    def pytest_terminal_summary(
+        self, terminalreporter: pytest.TerminalReporter, config: pytest.Config
+    ) -> None:
+        if any("::" in argument for argument in config.args):
+            return  # some tests of a file do not say what the file takes
         taken = {file: round(seconds, 2) for file, seconds in sorted(self._taken.items())}
         MEASURED.parent.mkdir(exist_ok=True)
         earlier = json.loads(MEASURED.read_text()) if MEASURED.exists() else {}
