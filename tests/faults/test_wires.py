@@ -14,7 +14,7 @@ from processes import wait_until
 from service.demo.configuration import ASSET
 from service.live.asset import STEP_S
 
-pytestmark = [pytest.mark.wires, pytest.mark.timeout(0), pytest.mark.endurance]
+pytestmark = [pytest.mark.wires, pytest.mark.timeout(0)]
 
 CODES = {SHORT: (2, 6, 11), FULL: (1, 2, 3, 4, 5, 6, 7, 8, 10, 11)}
 FLOOD_PER_S = 2000
@@ -83,6 +83,7 @@ def test_a_device_is_killed(hall: Hall, source: str, extent: Extent, tell: Tell)
     tell(survive(hall, f"{name} killed", source, peer.kill, peer.start, extent, lost=lost))
 
 
+@pytest.mark.endurance
 @pytest.mark.parametrize("source", ["pt100", "drive"])
 def test_a_device_is_frozen(hall: Hall, source: str, extent: Extent, tell: Tell) -> None:
     peer, name, lost = (
@@ -108,6 +109,7 @@ def ordered(hall: Hall, device: str) -> Iterator[Callable[..., Callable[[], None
     state.order(NORMAL)
 
 
+@pytest.mark.endurance
 @pytest.mark.parametrize(
     ("device", "fault", "orders", "counted"),
     [
@@ -150,6 +152,7 @@ def test_a_device_sends_what_it_should_not(
         assert errors[f'kind="{kind}",source="{source}"'] > 0
 
 
+@pytest.mark.endurance
 def test_the_modbus_server_refuses(hall: Hall, extent: Extent, tell: Tell) -> None:
     rows = []
     for code in CODES[extent]:
@@ -192,6 +195,7 @@ STAGES = (
 )
 
 
+@pytest.mark.endurance
 def test_metrics_show_every_stage(hall: Hall) -> None:
     before = hall.metrics()
     assert set(STAGES) <= set(before)
@@ -206,6 +210,7 @@ def test_metrics_show_every_stage(hall: Hall) -> None:
     assert 0 < before["store_write_seconds_sum"] < 600
 
 
+@pytest.mark.endurance
 def test_readiness_names_the_source_that_is_down_and_says_why(hall: Hall) -> None:
     hall.modbus.kill()
     try:

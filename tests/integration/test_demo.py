@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from processes import Site, wait_until
 
-pytestmark = [pytest.mark.wires, pytest.mark.timeout(600), pytest.mark.endurance]
+pytestmark = [pytest.mark.wires, pytest.mark.timeout(600)]
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -41,6 +41,7 @@ def test_the_bench_waits_for_the_identification_however_fast_the_clock_runs() ->
         assert stage["forecast_made_at"] < stage["start"]
 
 
+@pytest.mark.endurance
 def test_a_demo_that_make_starts_is_cut_short_and_prints_its_document_and_nothing_else() -> None:
     """As a script would: what make itself has to say is not on standard output."""
     # Not as a part of the make that runs these tests, which would name its folders.
@@ -66,6 +67,7 @@ def test_a_demo_that_make_starts_is_cut_short_and_prints_its_document_and_nothin
     assert "Stage 2 of" in demo.stderr
 
 
+@pytest.mark.endurance
 def test_a_pause_of_the_processor_raises_no_alarm_of_lost_data(tmp_path: Path) -> None:
     """At rate 120 two seconds are four minutes of the bench, and nothing is lost in them."""
     site = Site(tmp_path, "demo", 120.0)
