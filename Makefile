@@ -6,7 +6,7 @@ DEMO_ARGS ?=
 PYTEST := $(BIN)/python -m pytest
 LOCK := $(BIN)/python -m uv pip compile --quiet --no-header --generate-hashes --constraint constraints.txt \
 	--python-version 3.11 --python-platform x86_64-manylinux_2_28
-SHORT := not timing and not endurance and not laboratory
+SHORT := not timing and not endurance and not laboratory and not thorough
 # Hundreds of processes load the same modules: each must find them compiled.
 export PYTHONDONTWRITEBYTECODE :=
 

@@ -29,6 +29,8 @@ RECORDED = Path(__file__).with_suffix(".json")
 MEASURED = Path(__file__).parents[1] / "build" / "test-seconds.json"
 #: A file grew when it takes this many times its recorded seconds, and this many seconds more.
 GROWN, GROWN_S = 1.5, 5.0
+#: So many files are printed with their seconds after each run of more.
+SLOWEST = 10
 
 
 def recorded() -> dict[str, float]:
@@ -89,6 +91,11 @@ class Seconds:
         MEASURED.parent.mkdir(exist_ok=True)
         earlier = json.loads(MEASURED.read_text()) if MEASURED.exists() else {}
         MEASURED.write_text(json.dumps(earlier | taken, indent=0, sort_keys=True) + "\n")
+        if len(taken) > SLOWEST:
+            slowest = sorted(taken, key=lambda file: -taken[file])[:SLOWEST]
+            terminalreporter.write_line(f"the {SLOWEST} files that took longest:")
+            for file in slowest:
+                terminalreporter.write_line(f"{taken[file]:7.1f} s {file}")
         before = recorded()
         for file, seconds in taken.items():
             if file in before and seconds > max(GROWN * before[file], before[file] + GROWN_S):

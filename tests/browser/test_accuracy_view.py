@@ -108,6 +108,7 @@ def test_the_view_answers_in_words_pictures_and_figures(
     assert problems == []
 
 
+@pytest.mark.thorough
 def test_the_operator_reads_it_in_one_line(screen: Screen, record: Plant) -> None:
     page = screen(f"operator/{BEARING}", "operator")
     line = page.get_by_role("link", name=re.compile("^Forecasts of the last 30 days: "))
@@ -124,6 +125,7 @@ def test_the_operator_reads_it_in_one_line(screen: Screen, record: Plant) -> Non
     expect(page.locator("nav.tabs a[aria-current]")).to_have_text("Accuracy")
 
 
+@pytest.mark.thorough
 def test_it_fits_a_phone(context: BrowserContext, screen: Screen, record: Plant) -> None:
     page = screen(f"accuracy/{BEARING}")
     page.set_viewport_size({"width": 390, "height": 844})

@@ -89,6 +89,7 @@ def test_a_setting_is_edited_and_undone_by_keyboard_on_a_phone(
     assert problems == []
 
 
+@pytest.mark.thorough
 def test_a_sheet_is_exported_checked_and_imported(
     screen: Screen, settings: Plant, tmp_path: Path, problems: list[str]
 ) -> None:
@@ -119,6 +120,7 @@ def test_a_sheet_is_exported_checked_and_imported(
     assert problems == []
 
 
+@pytest.mark.thorough
 def test_a_viewer_reads_and_changes_nothing(screen: Screen, settings: Plant) -> None:
     panel = opened(screen("alarms", "viewer"))
     button = panel.get_by_role("button", name=re.compile("^Edit ")).first

@@ -71,6 +71,7 @@ def test_an_alarm_is_acknowledged_with_one_press(
     assert problems == []
 
 
+@pytest.mark.thorough
 def test_a_shelved_alarm_comes_back_by_itself(
     screen: Screen, hot: dict[str, Any], problems: list[str]
 ) -> None:
@@ -99,6 +100,7 @@ def test_a_shelved_alarm_comes_back_by_itself(
     assert problems == []
 
 
+@pytest.mark.thorough
 def test_bulk_acknowledge_comment_and_journal(
     screen: Screen, hot: dict[str, Any], problems: list[str]
 ) -> None:
@@ -130,6 +132,7 @@ def test_bulk_acknowledge_comment_and_journal(
     assert problems == []
 
 
+@pytest.mark.thorough
 def test_out_of_service_and_back(screen: Screen, hot: dict[str, Any], problems: list[str]) -> None:
     page = screen(f"operator/{BEARING}", "engineer")
     row(page, hot).get_by_role("button", name=re.compile("^More on")).click()
@@ -143,6 +146,7 @@ def test_out_of_service_and_back(screen: Screen, hot: dict[str, Any], problems: 
     assert problems == []
 
 
+@pytest.mark.thorough
 def test_what_is_not_there_is_shelved_and_taken_out_before_it_comes(
     screen: Screen, problems: list[str]
 ) -> None:
@@ -167,6 +171,7 @@ def test_what_is_not_there_is_shelved_and_taken_out_before_it_comes(
     assert problems == []
 
 
+@pytest.mark.thorough
 def test_a_viewer_sees_the_alarm_and_cannot_answer_it(screen: Screen, hot: dict[str, Any]) -> None:
     page = screen(f"operator/{BEARING}", "viewer")
     button = row(page, hot).get_by_role("button", name=re.compile("^Acknowledge"))
@@ -175,6 +180,7 @@ def test_a_viewer_sees_the_alarm_and_cannot_answer_it(screen: Screen, hot: dict[
     expect(page.locator("#banner").get_by_role("button", name="Acknowledge")).to_be_disabled()
 
 
+@pytest.mark.thorough
 def test_the_history_marks_the_alarm_and_a_node_leads_to_it(
     screen: Screen, hot: dict[str, Any], problems: list[str]
 ) -> None:

@@ -109,6 +109,7 @@ def test_an_asset_is_added_from_a_template_and_removed_again(
     assert all("422" in one or "404" in one for one in problems), problems
 
 
+@pytest.mark.thorough
 def test_an_asset_is_edited_and_what_others_changed_stays(
     screen: Screen, hall: Hall, problems: list[str]
 ) -> None:
@@ -149,6 +150,7 @@ def test_an_asset_is_edited_and_what_others_changed_stays(
     assert all("422" in one for one in problems)
 
 
+@pytest.mark.thorough
 def test_adding_overwrites_no_asset_that_does_not_run(screen: Screen, hall: Hall) -> None:
     page = screen("assets")
     page.get_by_role("button", name="Add asset…").click()
@@ -161,6 +163,7 @@ def test_adding_overwrites_no_asset_that_does_not_run(screen: Screen, hall: Hall
     assert hall.provisioned()["axle-1"]["name"] == "Made elsewhere"
 
 
+@pytest.mark.thorough
 def test_many_are_removed_at_once(screen: Screen, hall: Hall, problems: list[str]) -> None:
     for number in range(1, 5):
         hall.put(f"axle-{number}")
@@ -184,6 +187,7 @@ def test_many_are_removed_at_once(screen: Screen, hall: Hall, problems: list[str
     assert problems == []
 
 
+@pytest.mark.thorough
 def test_an_asset_without_a_template_is_given_as_json(screen: Screen, hall: Hall) -> None:
     page = screen("assets")
     page.get_by_role("button", name="Add asset…").click()
@@ -201,6 +205,7 @@ def test_an_asset_without_a_template_is_given_as_json(screen: Screen, hall: Hall
     assert hall.provisioned() == {"spindle-1": ALONE}
 
 
+@pytest.mark.thorough
 def test_a_faulty_csv_file_names_its_rows_and_its_good_rows_are_imported(
     screen: Screen, hall: Hall, tmp_path: Path, problems: list[str]
 ) -> None:
@@ -269,6 +274,7 @@ def test_a_faulty_csv_file_names_its_rows_and_its_good_rows_are_imported(
     expect(summary).to_contain_text("missing column 'id'")
 
 
+@pytest.mark.thorough
 def test_an_asset_that_somebody_else_makes_and_removes_is_followed(
     screen: Screen, hall: Hall, problems: list[str]
 ) -> None:
@@ -285,6 +291,7 @@ def test_an_asset_that_somebody_else_makes_and_removes_is_followed(
     assert all("404" in one for one in problems)  # it was looked at when it went
 
 
+@pytest.mark.thorough
 def test_what_was_refused_of_an_asset_is_asked_for_again(screen: Screen, hall: Hall) -> None:
     page = screen("assets")
     expect(row(page, IN_FILE)).to_be_visible()
@@ -300,6 +307,7 @@ def test_what_was_refused_of_an_asset_is_asked_for_again(screen: Screen, hall: H
     assert answered.value.ok
 
 
+@pytest.mark.thorough
 def test_who_may_change_nothing_sees_why(screen: Screen, hall: Hall) -> None:
     hall.put("axle-1")
     page = screen("assets", "engineer")
@@ -309,6 +317,7 @@ def test_who_may_change_nothing_sees_why(screen: Screen, hall: Hall) -> None:
         expect(button).to_have_attribute("title", re.compile("Needs the role admin"))
 
 
+@pytest.mark.thorough
 def test_an_operator_has_no_such_view(screen: Screen, hall: Hall) -> None:
     page = screen("assets", "operator")
     expect(tabs(page).filter(has_text="Alarms")).to_be_visible()
@@ -317,6 +326,7 @@ def test_an_operator_has_no_such_view(screen: Screen, hall: Hall) -> None:
     expect(page.locator("h1")).not_to_have_text("Assets")
 
 
+@pytest.mark.thorough
 def test_many_assets_are_searched_and_shown_in_parts(
     screen: Screen, hall: Hall, tmp_path: Path
 ) -> None:
@@ -340,6 +350,7 @@ def test_many_assets_are_searched_and_shown_in_parts(
     expect(shown).to_have_count(10)
 
 
+@pytest.mark.thorough
 def test_forms_and_faults_meet_wcag_aa(screen: Screen, hall: Hall, tmp_path: Path) -> None:
     hall.put("axle-1")
     page = screen("assets")
@@ -367,6 +378,7 @@ def test_forms_and_faults_meet_wcag_aa(screen: Screen, hall: Hall, tmp_path: Pat
     assert not found, "\n".join(found)
 
 
+@pytest.mark.thorough
 def test_nights_show_how_far_they_are_and_what_they_cost(screen: Screen, hall: Hall) -> None:
     page = screen("assets", "engineer")
     expect(row(page, IN_FILE)).to_be_visible()
@@ -396,6 +408,7 @@ def test_nights_show_how_far_they_are_and_what_they_cost(screen: Screen, hall: H
     assert overflow_px(page) <= 0
 
 
+@pytest.mark.thorough
 def test_the_view_fits_a_phone(context: BrowserContext, screen: Screen, hall: Hall) -> None:
     hall.put("axle-1", "The left axle of the third car of the morning train to the north")
     page = screen("assets")
@@ -425,6 +438,7 @@ def test_the_form_waits_for_the_templates(screen: Screen, problems: list[str]) -
     assert not problems
 
 
+@pytest.mark.thorough
 def test_the_first_asset_of_all_is_made_on_the_page(
     context: BrowserContext, tmp_path: Path
 ) -> None:

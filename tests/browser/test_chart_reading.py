@@ -55,6 +55,7 @@ def test_the_cursor_reads_speed_and_load_with_the_temperatures(screen: Screen) -
     wait_until(sweep, 60, "a reading of all lanes")
 
 
+@pytest.mark.thorough
 def test_a_chart_is_read_with_the_keyboard(screen: Screen, problems: list[str]) -> None:
     page = screen(f"operator/{BEARING}")
     box = chart(page)
@@ -73,6 +74,7 @@ def test_a_chart_is_read_with_the_keyboard(screen: Screen, problems: list[str]) 
     assert not problems
 
 
+@pytest.mark.thorough
 def test_history_is_read_with_the_keyboard(screen: Screen) -> None:
     page = screen(f"history/{BEARING}")
     box = page.locator(".p-past .plot.t")
@@ -103,6 +105,7 @@ THICKNESS = """(canvas) => {
 }"""
 
 
+@pytest.mark.thorough
 def test_lines_grow_with_the_wall(browser: Browser, plant: Plant) -> None:
     def columns(width: int, height: int) -> int:
         context = browser.new_context(viewport={"width": width, "height": height})
@@ -119,6 +122,7 @@ def test_lines_grow_with_the_wall(browser: Browser, plant: Plant) -> None:
     assert wall >= 2 * desk
 
 
+@pytest.mark.thorough
 def test_no_view_hides_what_scrolls_from_the_keyboard(
     browser: Browser, plant: Plant, axe: str
 ) -> None:
@@ -138,6 +142,7 @@ def test_no_view_hides_what_scrolls_from_the_keyboard(
     assert not found, "\n".join(found)
 
 
+@pytest.mark.thorough
 def test_paper_is_light_and_holds_the_whole_page(screen: Screen, tmp_path: Path) -> None:
     page = screen(f"operator/{BEARING}")
     chart(page)

@@ -220,6 +220,7 @@ def test_a_newcomers_bench_is_live_from_the_browser(
     sys.stdout.write(f"live after {took_s:.0f} s\n")
 
 
+@pytest.mark.thorough
 def test_a_saved_asset_is_undone_and_restored(
     context: BrowserContext, service: EmptyService
 ) -> None:
@@ -250,6 +251,7 @@ def test_a_saved_asset_is_undone_and_restored(
     assert "assets" not in service.tables()
 
 
+@pytest.mark.thorough
 def test_only_an_administrator_commissions(
     browser: Browser, context: BrowserContext, service: EmptyService
 ) -> None:

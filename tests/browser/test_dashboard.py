@@ -9,7 +9,7 @@ from playwright.sync_api import BrowserContext, ConsoleMessage, Page, Response, 
 from service.security.keys import create_key
 from tests.processes import Site, wait_until
 
-pytestmark = [pytest.mark.browser, pytest.mark.wires]
+pytestmark = [pytest.mark.browser, pytest.mark.wires, pytest.mark.thorough]
 
 RATE = 60.0
 WAIT_MS = 60_000  # on a busy machine a service takes its time to start

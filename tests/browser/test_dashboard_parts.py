@@ -219,9 +219,10 @@ def test_advice_shows_steps_refusals_and_the_stop_rule(parts: Page) -> None:
         route.fulfill(json=ADVICE)
 
     parts.route("**/api/v1/assets/bench-1/advice*", answer)
-    text = run(
-        parts,
-        """const { AdvicePanel } = await import('/js/engineer/advice_panel.js');
+    with parts.expect_response(lambda response: "half_width_k" in response.url):
+        text = run(
+            parts,
+            """const { AdvicePanel } = await import('/js/engineer/advice_panel.js');
         const page = {
           store: { get: () => ({ low_risk: { speed_rpm_max: 4300, load_n_max: 3400 } }) },
           live: { assetId: 'bench-1' }, wish: { speed_rpm: 6200, load_n: 5500 },
@@ -238,7 +239,7 @@ def test_advice_shows_steps_refusals_and_the_stop_rule(parts: Page) -> None:
         document.querySelector('.e-adv form').requestSubmit();
         document.querySelectorAll('details').forEach((one) => { one.open = true; });
         return document.body.innerText;""",
-    )
+        )
     assert asked[0].endswith("/api/v1/assets/bench-1/advice?speed_rpm=6200&load_n=5500")
     assert asked[1] == f"{asked[0]}&half_width_k=5"
     for said in (

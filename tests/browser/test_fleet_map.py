@@ -35,6 +35,7 @@ def lines(page: Page) -> list[str]:
     return opened
 
 
+@pytest.mark.thorough
 def test_what_needs_attention_comes_first_and_is_one_click_away(
     context: BrowserContext, fleet: Fleet
 ) -> None:
@@ -69,6 +70,7 @@ def test_what_needs_attention_comes_first_and_is_one_click_away(
     expect(lost.locator("s")).to_have_count(0)
 
 
+@pytest.mark.thorough
 def test_a_link_keeps_what_is_chosen(context: BrowserContext, fleet: Fleet) -> None:
     page = look(context, fleet)
     page.get_by_role("button", name=re.compile("over a limit")).click()
@@ -88,6 +90,7 @@ def test_a_link_keeps_what_is_chosen(context: BrowserContext, fleet: Fleet) -> N
     expect(other.get_by_text("No asset fits")).to_be_visible()
 
 
+@pytest.mark.thorough
 def test_the_map_is_used_with_the_keyboard_and_clean(context: BrowserContext, fleet: Fleet) -> None:
     page = look(context, fleet)
     told = page.locator(".p-states p[role=status]")
@@ -108,6 +111,7 @@ def test_the_map_is_used_with_the_keyboard_and_clean(context: BrowserContext, fl
     expect(page).to_have_url(re.compile(rf"#operator/{second[0]}$"))
 
 
+@pytest.mark.thorough
 def test_a_phone_shows_it_without_scrolling_sideways(browser: Browser, fleet: Fleet) -> None:
     context = browser.new_context(viewport=PHONE, has_touch=True)
     page = look(context, fleet)
@@ -125,6 +129,7 @@ def test_a_phone_shows_it_without_scrolling_sideways(browser: Browser, fleet: Fl
     context.close()
 
 
+@pytest.mark.thorough
 def test_old_states_are_called_old(context: BrowserContext, fleet: Fleet) -> None:
     """The web side answers still, but the cell tells it nothing."""
     page = look(context, fleet)

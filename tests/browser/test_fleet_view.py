@@ -34,6 +34,7 @@ def test_the_worst_machine_comes_first(screen: Screen, plant: Plant, problems: l
     assert problems == []
 
 
+@pytest.mark.thorough
 def test_a_card_leads_to_its_machine_and_its_own_nodes(screen: Screen, problems: list[str]) -> None:
     page = screen("fleet")
     page.locator(".card", has_text=GEARBOX).click()

@@ -96,6 +96,7 @@ def test_zoom_to_raw_and_back(screen: Screen, past: int, problems: list[str]) ->
     assert problems == []
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("format", ["CSV", "Parquet"])
 def test_what_is_seen_is_saved(screen: Screen, past: int, problems: list[str], format: str) -> None:
     parquet = pytest.importorskip("pyarrow.parquet") if format == "Parquet" else None
@@ -115,6 +116,7 @@ def test_what_is_seen_is_saved(screen: Screen, past: int, problems: list[str], f
     assert problems == []
 
 
+@pytest.mark.thorough
 def test_the_zone_is_that_of_the_range(screen: Screen, problems: list[str]) -> None:
     """Of a day in July, and of a range over the night in which the clocks are changed."""
     page = screen(f"history/{BEARING}")
@@ -131,6 +133,7 @@ def test_the_zone_is_that_of_the_range(screen: Screen, problems: list[str]) -> N
     assert problems == []
 
 
+@pytest.mark.thorough
 def test_the_limits_of_a_line_are_picked_in_the_table(
     screen: Screen, past: int, problems: list[str]
 ) -> None:

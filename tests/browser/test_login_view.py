@@ -31,6 +31,7 @@ def test_a_wrong_key_is_told_and_the_right_one_lets_in(
     expect(page.get_by_label("Access key")).to_be_visible()
 
 
+@pytest.mark.thorough
 def test_a_revoked_key_ends_the_session_and_says_why(context: BrowserContext, plant: Plant) -> None:
     made = plant.client.post("/api/v1/keys", json={"role": "operator"}).json()
     page = context.new_page()
@@ -40,6 +41,7 @@ def test_a_revoked_key_ends_the_session_and_says_why(context: BrowserContext, pl
     expect(page.locator(".login .problem")).to_have_text(re.compile("no longer valid"))
 
 
+@pytest.mark.thorough
 def test_a_call_without_a_session_leads_to_the_login_and_back(
     screen: Callable[..., Page], plant: Plant
 ) -> None:
@@ -56,6 +58,7 @@ def test_a_call_without_a_session_leads_to_the_login_and_back(
     expect(page).to_have_url(re.compile(rf"#alarms/{BEARING}$"))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("link", "text"),
     [
@@ -82,6 +85,7 @@ def test_a_link_that_leads_nowhere_shows_nothing_else(
     assert problems == []
 
 
+@pytest.mark.thorough
 def test_a_viewer_is_told_why_a_control_is_off(screen: Callable[..., Page]) -> None:
     page = screen("operator/press-1", "viewer")
     refused = page.locator("nav.tabs a[aria-disabled]")

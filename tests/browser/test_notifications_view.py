@@ -68,6 +68,7 @@ def test_a_test_is_sent_and_a_silence_planned_and_ended_by_keyboard_on_a_phone(
     assert problems == []
 
 
+@pytest.mark.thorough
 def test_who_may_not_test_or_silence_reads_why(screen: Screen, problems: list[str]) -> None:
     panel = screen("alarms", "viewer").locator(".p-notifications")
     button = panel.get_by_role("button", name="Send a test to control-room")
@@ -77,6 +78,7 @@ def test_who_may_not_test_or_silence_reads_why(screen: Screen, problems: list[st
     assert problems == []
 
 
+@pytest.mark.thorough
 def test_an_alarm_sounds_once_it_is_asked_for_until_it_is_acknowledged(
     screen: Screen, context: BrowserContext, plant: Plant, hot: dict[str, Any], problems: list[str]
 ) -> None:

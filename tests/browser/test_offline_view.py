@@ -26,6 +26,7 @@ WATCH_THE_RETURN = """() => {
 }"""
 
 
+@pytest.mark.thorough
 def test_a_frozen_service_is_noticed_and_its_return_too(
     screen: Callable[..., Page], plant: Plant
 ) -> None:

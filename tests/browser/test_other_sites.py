@@ -86,6 +86,7 @@ def test_a_form_of_another_site_changes_nothing(
         context.close()
 
 
+@pytest.mark.thorough
 def test_a_browser_asks_for_no_password(context: BrowserContext, plant: Plant) -> None:
     answer = context.new_page().goto(f"{plant.address}/api/v1/assets")
     assert answer is not None
@@ -93,6 +94,7 @@ def test_a_browser_asks_for_no_password(context: BrowserContext, plant: Plant) -
     assert "basic" not in answer.headers["www-authenticate"].lower()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("by", ["script", "link without referrer"])
 def test_a_link_of_another_site_logs_nobody_in_unasked(
     context: BrowserContext, plant: Plant, by: str
@@ -116,6 +118,7 @@ def test_a_link_of_another_site_logs_nobody_in_unasked(
     assert found["prefix"] == made["prefix"]
 
 
+@pytest.mark.thorough
 def test_no_link_replaces_the_session_that_there_is(
     context: BrowserContext, plant: Plant, screen: Callable[..., Page]
 ) -> None:

@@ -175,6 +175,7 @@ def test_words_of_every_priority_are_read_on_their_tint(parts: Page, axe: str) -
     assert not found, "\n".join(found)
 
 
+@pytest.mark.thorough
 def test_every_view_meets_wcag_aa(screen: Screen, plant: Plant, axe: str) -> None:
     plant.values[BEARING]["t_inner_ring_c"] = 81.0  # an alarm is on the page
     wait_until(lambda: plant.alarm("measured limit"), 60, "an alarm")
@@ -238,6 +239,7 @@ def tab_through(page: Page) -> dict[str, bool]:
     return reached
 
 
+@pytest.mark.thorough
 def test_every_view_is_used_by_keyboard(screen: Screen, plant: Plant) -> None:
     """Tab comes to all that can be pressed or filled in, with a ring that shows where it is."""
     page = screen("fleet", "admin")
@@ -263,6 +265,7 @@ def test_every_view_is_used_by_keyboard(screen: Screen, plant: Plant) -> None:
     assert not found, "\n".join(found)
 
 
+@pytest.mark.thorough
 def test_motion_stops_where_it_is_not_wanted(screen: Screen, plant: Plant) -> None:
     plant.values[BEARING]["t_inner_ring_c"] = 81.0
     page = screen(f"operator/{BEARING}")
@@ -272,6 +275,7 @@ def test_motion_stops_where_it_is_not_wanted(screen: Screen, plant: Plant) -> No
     expect(blinking).to_have_css("animation-name", "none")
 
 
+@pytest.mark.thorough
 def test_targets_are_large_enough_for_a_finger(screen: Screen, plant: Plant) -> None:
     """Check boxes and links of tables: 24 px (WCAG 2.5.8); names of tabs do not touch."""
     page = screen("alarms")
@@ -292,6 +296,7 @@ def test_targets_are_large_enough_for_a_finger(screen: Screen, plant: Plant) -> 
     assert small == []
 
 
+@pytest.mark.thorough
 def test_names_of_tabs_do_not_touch_on_a_phone(screen: Screen) -> None:
     page = screen(f"operator/{BEARING}")
     page.set_viewport_size({"width": 390, "height": 844})

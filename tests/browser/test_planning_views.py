@@ -244,6 +244,7 @@ def test_envelope_is_walked_with_the_keyboard(open_view: Any, problems: list[str
     assert problems == []
 
 
+@pytest.mark.thorough
 def test_who_leaves_the_envelope_ends_its_study_and_finds_the_last_map_again(
     open_view: Any, problems: list[str]
 ) -> None:
@@ -280,6 +281,7 @@ def test_who_leaves_the_envelope_ends_its_study_and_finds_the_last_map_again(
     assert [text for text in problems if "503" not in text] == []
 
 
+@pytest.mark.thorough
 def test_without_trust_in_the_model_nothing_is_foretold(
     context: BrowserContext, open_view: Any, problems: list[str]
 ) -> None:
@@ -410,6 +412,7 @@ def chart_pixels(page: Page) -> int:
     return count
 
 
+@pytest.mark.thorough
 def test_a_version_that_failed_a_gate_is_activated_only_against_it(
     open_view: Any, site: Site, problems: list[str]
 ) -> None:

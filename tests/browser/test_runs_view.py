@@ -52,13 +52,18 @@ def test_runs_from_the_list_to_the_report(
     screen: Screen, plant: Plant, past: int, problems: list[str], axe: str
 ) -> None:
     runs = f"/assets/{BEARING}/runs"
-    wait_until(lambda: len(plant.get(runs)["items"]) == 3, 60, "the present run to be one")
+
+    def the_present_one_runs() -> bool:
+        """Whether the machine turns now; a gap of the data, earlier, has made runs of its own."""
+        items = plant.get(runs)["items"]
+        return len(items) >= 3 and items[0]["ended"] is None
+
+    wait_until(the_present_one_runs, 60, "the present run")
     page = screen(f"history/{BEARING}", role="operator")
     open_runs(page)
     rows = page.locator(".p-runs tbody tr")
-    expect(rows).to_have_count(3)
     expect(rows.nth(0)).to_contain_text("running")
-    first, second = rows.nth(2), rows.nth(1)
+    first, second = (page.locator(f".p-runs tbody tr:nth-last-child({row})") for row in (1, 2))
     expect(first).to_contain_text("30 min")
     expect(first).to_contain_text("standstill")
 
@@ -106,6 +111,7 @@ def test_runs_from_the_list_to_the_report(
     assert problems == []
 
 
+@pytest.mark.thorough
 def test_a_viewer_reads_and_changes_nothing(screen: Screen, past: int, problems: list[str]) -> None:
     page = screen(f"history/{BEARING}", role="viewer")
     page.set_viewport_size({"width": 390, "height": 800})
@@ -119,6 +125,7 @@ def test_a_viewer_reads_and_changes_nothing(screen: Screen, past: int, problems:
     assert problems == []
 
 
+@pytest.mark.thorough
 def test_a_report_that_cannot_be_made_here_says_what_to_install(screen: Screen, past: int) -> None:
     page = screen(f"history/{BEARING}", role="viewer")
 

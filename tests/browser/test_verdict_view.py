@@ -41,6 +41,7 @@ def words(page: Page) -> list[str]:
     return page.locator(".ans .word").all_inner_texts()
 
 
+@pytest.mark.thorough
 def test_page_and_interface_agree_whatever_is_missing(
     screen: Screen, known: Plant, problems: list[str]
 ) -> None:
@@ -99,6 +100,7 @@ def test_lost_speed_and_load_are_seen_everywhere(screen: Screen, known: Plant) -
     expect(page.get_by_role("row").filter(has_text="afe")).to_have_count(0)
 
 
+@pytest.mark.thorough
 def test_a_model_that_was_never_identified_gives_no_next_step(screen: Screen, known: Plant) -> None:
     page = screen(f"operator/{GEARBOX}")
     assert verdict(known, GEARBOX)["missing"] == ["identified model"]
@@ -107,6 +109,7 @@ def test_a_model_that_was_never_identified_gives_no_next_step(screen: Screen, kn
     expect(page.locator("#lost")).to_be_empty()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("safe", "word"), [(0.0, "Not safe"), (1.0, "Safe")])
 def test_one_setting_gives_the_word_in_what_if_and_envelope(
     context: BrowserContext, screen: Screen, known: Plant, safe: float, word: str
@@ -127,6 +130,7 @@ def test_one_setting_gives_the_word_in_what_if_and_envelope(
     expect(page.locator(".v-envelope table td.nw").first).to_contain_text(word)
 
 
+@pytest.mark.thorough
 def test_the_band_of_the_whole_run_is_chosen_by_keyboard(
     screen: Screen, known: Plant, problems: list[str]
 ) -> None:

@@ -146,6 +146,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Printed]:
 
 
 @pytest.mark.wires
+@pytest.mark.thorough
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize(
     ("page", "block"),

@@ -152,6 +152,7 @@ def test_a_new_asset_is_followed_and_no_other_is_disturbed(hall: Hall) -> None:
     assert hall.get("/api/v1/assets/axle-7/windows")["items"] == []
 
 
+@pytest.mark.thorough
 def test_a_change_is_in_effect_and_the_twin_goes_on(hall: Hall) -> None:
     hall.change({"axle-1": {"template": "axle"}})
     hall.until_followed("axle-1")
@@ -207,6 +208,7 @@ def test_a_removed_asset_leaves_its_history_and_no_alarm(hall: Hall) -> None:
     ]
 
 
+@pytest.mark.thorough
 def test_other_registers_are_read_where_an_asset_asks_for_them(hall: Hall) -> None:
     hall.change({"axle-1": {"template": "axle"}})
     hall.until_followed("axle-1")
@@ -232,6 +234,7 @@ def test_what_was_written_is_taken_up_whenever_the_cell_is_killed(hall: Hall) ->
     hall.until_measured(FIRST)
 
 
+@pytest.mark.thorough
 def test_a_kill_between_removal_and_addition_leaves_a_mark(hall: Hall) -> None:
     assert hall.service is not None
     name = "axle-31"
@@ -257,6 +260,7 @@ def test_a_kill_between_removal_and_addition_leaves_a_mark(hall: Hall) -> None:
     assert events[-2:] == ["asset not followed", "asset followed again"]
 
 
+@pytest.mark.thorough
 def test_their_devices_are_read_though_the_store_is_locked_at_the_start(hall: Hall) -> None:
     assert hall.service is not None
     hall.change({"axle-1": {"template": "axle"}})
@@ -300,6 +304,7 @@ def waiting_on(spool: Path, asset: str) -> int:
         return 0
 
 
+@pytest.mark.thorough
 def test_an_asset_that_does_not_fit_the_file_any_more_is_named_and_the_others_run(
     hall: Hall,
 ) -> None:
