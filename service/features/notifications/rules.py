@@ -136,6 +136,9 @@ def sent(notification: Notification, events: Sequence[str]) -> Notification:
         is_notified = kind_of(event) != RETURNED
     pending = tuple(event for event in notification.pending if event not in events)
     kinds = {kind_of(event) for event in pending}
+    if not is_notified and not kinds & {RAISED, ESCALATED}:
+        # It was raised and returned once more meanwhile: the recipient knows nothing of either.
+        pending = tuple(event for event in pending if kind_of(event) != RETURNED)
     state = notification.alarm.state
     if is_notified and state not in ACTIVE_STATES and RETURNED not in kinds:
         pending = (*pending, f"{RETURNED}:{notification.raise_number}")

@@ -34,6 +34,14 @@ steps = st.lists(
 
 @hypothesis.settings(max_examples=300)
 @given(steps, st.sampled_from([MAIL, HOOK]))
+# A return is under way while the alarm is raised and returns once more: the second is no news.
+@hypothesis.example(
+    [
+        *(AlarmEvent.RAISE, "send", AlarmEvent.TAKE_OUT, "begin"),
+        *(AlarmEvent.PUT_BACK, AlarmEvent.RETURN, "finish", AlarmEvent.RAISE),
+    ],
+    MAIL,
+)
 def test_what_was_sent_is_once_and_true(
     happens: list[AlarmEvent | str], section: NotificationSection
 ) -> None:
