@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import httpx2
-from aiomqtt import Client as MqttClient
 from aiomqtt import MqttError
 from faults.hall import Peer
 from faults.peers import State
@@ -31,6 +30,7 @@ from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 
 from adapters.samples import is_good
+from service.plant.mqtt.client import MqttClient
 
 ASSET, CHANNEL = "motor-1", "t_inner_ring_c"
 STARTED_S = 180.0

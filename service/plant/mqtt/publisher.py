@@ -21,9 +21,10 @@ import ssl
 from collections.abc import Collection, Mapping, Sequence
 
 import structlog
-from aiomqtt import Client, MqttError, Will
+from aiomqtt import MqttError, Will
 from pydantic_core import to_json
 
+from service.plant.mqtt.client import MqttClient
 from service.plant.protocol import Host, TagValue
 from service.site.settings import MqttSection
 
@@ -38,7 +39,7 @@ class MqttPublisher:
 
     def __init__(self, section: MqttSection) -> None:
         self._section = section
-        self._client: Client | None = None
+        self._client: MqttClient | None = None
         # Ids of the alarms that are not over; None while that is not known.
         self._open: set[str] | None = None
 
@@ -46,7 +47,7 @@ class MqttPublisher:
         """Connect."""
         section = self._section
         password = section.password.get_secret_value() if section.password else None
-        client = Client(
+        client = MqttClient(
             section.host,
             section.port,
             username=section.username or None,
@@ -68,7 +69,7 @@ class MqttPublisher:
         _log.info("mqtt_connected", host=section.host, port=section.port)
 
     async def _keep_open_alarms(
-        self, client: Client, alarms: Sequence[Mapping[str, object]] | None
+        self, client: MqttClient, alarms: Sequence[Mapping[str, object]] | None
     ) -> None:
         """Retain what is open now, and ask the broker for what was retained before."""
         self._open = None if alarms is None else {str(alarm["id"]) for alarm in alarms}
@@ -133,7 +134,7 @@ class MqttPublisher:
         )
 
     @property
-    def _connected(self) -> Client:
+    def _connected(self) -> MqttClient:
         if self._client is None:
             raise MqttError("not connected")
         return self._client

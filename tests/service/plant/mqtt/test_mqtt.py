@@ -23,6 +23,7 @@ from service.clock import ProcessClock
 from service.plant import publishers as outlets
 from service.plant import rounds
 from service.plant.mqtt import PERIOD_S
+from service.plant.mqtt.client import MqttClient
 from service.plant.mqtt.publisher import MqttPublisher
 from service.plant.protocol import Host
 from service.site.configuration import SettingsError
@@ -111,7 +112,7 @@ def section(broker: Broker, **more: Any) -> MqttSection:
 class Listener:
     """Hears all topics."""
 
-    def __init__(self, client: Client) -> None:
+    def __init__(self, client: MqttClient) -> None:
         self._messages = aiter(client.messages)
 
     async def all_until(self, *topics: str) -> dict[str, tuple[str, bool]]:
@@ -137,7 +138,7 @@ class Listener:
 
 @asynccontextmanager
 async def listening(broker: Broker) -> AsyncIterator[Listener]:
-    async with Client(
+    async with MqttClient(
         "127.0.0.1", broker.port, username="ear", password="secret", timeout=PATIENCE_S
     ) as client:
         await client.subscribe("works/#", qos=1)
@@ -201,7 +202,7 @@ async def test_the_broker_forgets_the_topics_of_an_asset_that_is_gone(
             # comes after them says that all of them are.
             assets["bench-3"] = Asset()
             await listener.hear("bench-3/t_inner_ring_c")
-        async with Client(
+        async with MqttClient(
             "127.0.0.1", broker.port, username="ear", password="secret", timeout=PATIENCE_S
         ) as late:
             await late.subscribe("works/#", qos=1)
@@ -239,6 +240,28 @@ async def test_a_broker_that_was_away_gets_everything_when_it_is_back(
             assert (await listener.hear("bench-1/alarms"))[0] == {"id": "1"}
 
 
+@pytest.mark.parametrize("client", [Client, MqttClient])
+async def test_a_late_write_is_not_for_the_next_socket_of_the_same_number(
+    broker: Broker, client: type[Client]
+) -> None:
+    """The connection ends between the wish to write and the turn of the loop that writes."""
+    loop = asyncio.get_running_loop()
+    async with client(
+        "127.0.0.1", broker.port, username="ear", password="secret", timeout=PATIENCE_S
+    ) as connected:
+        paho = connected._client
+        own = paho.socket()
+        assert own is not None
+        number = own.fileno()
+        paho.publish("works/x", b"1", qos=1)
+        paho._sock_close()
+        with socket.socket() as other:
+            assert other.fileno() == number
+            await asyncio.sleep(0)
+            await asyncio.sleep(0)
+            assert loop.remove_writer(number) == (client is Client), "what the library does"
+
+
 async def test_open_alarms_can_be_had_by_who_connects_late(broker: Broker, host: Host) -> None:
     """What ended while we were away is taken back."""
 
@@ -247,7 +270,7 @@ async def test_open_alarms_can_be_had_by_who_connects_late(broker: Broker, host:
 
     bus = LiveMessages(ProcessClock())
     async with listening(broker) as listener:
-        async with Client(
+        async with MqttClient(
             "127.0.0.1", broker.port, username="ear", password="secret", timeout=PATIENCE_S
         ) as before:
             await before.publish("works/hall-2/service/alarms/gone", "{}", qos=1, retain=True)
@@ -275,6 +298,7 @@ import asyncio, sys
 from service.clock import ProcessClock
 from adapters.samples import Quality
 from service.bus.stream import LiveMessages
+from service.plant.mqtt.client import MqttClient
 from service.plant.mqtt.publisher import MqttPublisher
 from service.plant.protocol import Host
 from service.plant.rounds import PublisherRounds
