@@ -4,7 +4,7 @@ import json
 import os
 import subprocess
 import sys
-from datetime import timedelta
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import httpx2
@@ -15,6 +15,8 @@ from processes import wait_until
 
 RINGS = ["t_inner_ring_c", "t_outer_ring_c"]
 PATIENCE_S = 240.0
+#: So many samples are on a page for who does not say how many.
+PAGE_ROWS = 10_000
 ROOT = Path(__file__).parent.parent
 
 
@@ -84,16 +86,27 @@ def run_the_examples(url: str, key: str) -> None:
 
 def read_the_run(client: Client, url: str, key: str, asset: str) -> None:
     """Several pages of samples are as many as one file of the same span has."""
-    end = client.state(asset).time - timedelta(minutes=1)
-    span = {"start": (end - timedelta(hours=1)).isoformat(), "end": end.isoformat()}
-    whole = httpx2.get(
-        f"{url}/api/v1/assets/{asset}/measurements",
-        params=span | {"format": "csv"},
-        headers={"X-API-Key": key},
-        timeout=PATIENCE_S,
-    )
-    rows = list(client.measurements(asset, start=end - timedelta(hours=1), end=end))
-    assert len(rows) == len(whole.text.splitlines()) - 1 > 10_000, "several pages"
+    start = client.state(asset).time - timedelta(hours=1)
+
+    def more_than_a_page() -> datetime | None:
+        until = client.state(asset).time
+        count = sum(1 for _ in client.measurements(asset, start=start, end=until))
+        return until if count > PAGE_ROWS else None
+
+    end = wait_until(more_than_a_page, PATIENCE_S, "more samples than a page has", 1.0)
+
+    def is_same_in_a_file() -> bool:
+        """Samples of the span may still be on their way when the first of both is read."""
+        whole = httpx2.get(
+            f"{url}/api/v1/assets/{asset}/measurements",
+            params={"start": start.isoformat(), "end": end.isoformat(), "format": "csv"},
+            headers={"X-API-Key": key},
+            timeout=PATIENCE_S,
+        )
+        rows = list(client.measurements(asset, start=start, end=end))
+        return len(rows) == len(whole.text.splitlines()) - 1 > PAGE_ROWS
+
+    wait_until(is_same_in_a_file, PATIENCE_S, "as many samples on several pages as in one file")
     found = columns(client.measurements(asset, RINGS, end=end, resolution="1min"))
     assert set(found) == set(RINGS)
     assert all(10 < value < 120 for value in found[RINGS[0]].value if value is not None)

@@ -33,6 +33,7 @@ from service.features.commissioning import routes as commissioning
 from service.features.notifications.part import Notifier
 from service.ingest import Ingest, Spool
 from service.security.keys import create_key
+from service.security.limits import RateLimit
 from service.site.settings import Settings
 from service.store import Outbox, Store
 from service.web.api import create_app
@@ -88,6 +89,17 @@ class World:
         self.close_app()
         self.context = replace(self.context, **changes)
         self.app = create_app(self.context)
+        self.stop_the_minute()
+
+    def stop_the_minute(self) -> None:
+        """Let no part of a caller's minute pass, however slow the machine is at its calls."""
+        authenticator = self.app.state.authenticator
+        for limit in ("failures", "logins", "strangers", "requests"):
+            self.limit(limit, getattr(authenticator, limit).per_minute)
+
+    def limit(self, name: str, per_minute: float) -> None:
+        """Allow so many calls of a kind, in a minute that does not pass."""
+        setattr(self.app.state.authenticator, name, RateLimit(per_minute, lambda: 0.0))
 
     async def report(self) -> None:
         """Have the cell report how it is now, which it otherwise does once a second."""
@@ -140,9 +152,11 @@ def empty_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def patient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Wait for a cell in the same process: a slow machine delays it as long as who asks."""
+    """Wait for a cell and a store in the same process: a slow machine delays them as who asks."""
     monkeypatch.setattr("service.bus.replica.PATIENCE_S", 60.0)
     monkeypatch.setattr("service.bus.replicas.PATIENCE_S", 60.0)
+    monkeypatch.setattr("service.security.authenticator.KNOWN_PATIENCE_S", 60.0)
+    monkeypatch.setattr("service.security.authenticator.UNKNOWN_PATIENCE_S", 60.0)
 
 
 @pytest.fixture
@@ -231,6 +245,7 @@ async def world(
             keys={role: create_key(store, role).text for role in ROLES},
             taken=taken,
         )
+        world.stop_the_minute()
         ingesting = asyncio.create_task(ingest.run([]))
         watching = asyncio.create_task(fleet.run())
         hearing = asyncio.create_task(reports.run())

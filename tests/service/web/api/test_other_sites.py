@@ -5,8 +5,6 @@ from typing import Any
 import httpx2
 import pytest
 
-from service.security.limits import RateLimit
-
 ACKNOWLEDGE = "/api/v1/alarms/none/acknowledge"
 SESSION = "/api/v1/session"
 REFUSED, DONE = 403, 404  # there is no such alarm
@@ -56,14 +54,11 @@ async def test_a_browser_is_not_asked_for_a_password_that_it_would_send_everywhe
     assert program.headers["www-authenticate"].startswith("Basic ")
 
 
-async def test_log_ins_of_an_address_and_of_a_key_are_counted(
-    world: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    keys = world.app.state.authenticator
-    monkeypatch.setattr(keys, "logins", RateLimit(5))
+async def test_log_ins_of_an_address_and_of_a_key_are_counted(world: Any) -> None:
+    world.limit("logins", 5)
     body = {"key": world.keys["viewer"]}
     client = world.client(timeout=12)
-    answers = [await client.post(SESSION, json=body) for _ in range(int(keys.logins.per_minute))]
+    answers = [await client.post(SESSION, json=body) for _ in range(5)]
     assert {answer.status_code for answer in answers} == {200}
     assert (await client.post(SESSION, json=body)).status_code == 429  # this address
     other = world.client(address=("203.0.113.77", 1))

@@ -2,10 +2,6 @@
 
 from typing import Any
 
-import pytest
-
-from service.security.limits import RateLimit
-
 SESSION = "/api/v1/session"
 WRONG = "bt_00000000_" + "A" * 43
 
@@ -55,10 +51,8 @@ async def test_an_address_may_try_ten_different_wrong_keys_a_minute(world: Any) 
     assert (await client.get("/api/v1/assets", headers=again)).status_code == 401
 
 
-async def test_a_key_may_make_only_so_many_requests(
-    world: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(world.app.state.authenticator, "requests", RateLimit(5))
+async def test_a_key_may_make_only_so_many_requests(world: Any) -> None:
+    world.limit("requests", 5)
     viewer = world.client("viewer")
     for _ in range(5):
         assert (await viewer.get("/api/v1/assets")).status_code == 200

@@ -18,7 +18,6 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from service.bus.stream import heartbeats
 from service.domain.errors import CellUnavailableError
 from service.security.keys import revoke_key
-from service.security.limits import RateLimit
 from service.web.api.routes import stream
 from service.web.shares import Shares
 
@@ -389,7 +388,7 @@ async def test_a_key_has_so_many_streams(world: Any, server: Any) -> None:
 
 
 async def test_opening_a_stream_counts_as_a_request(world: Any, server: Any) -> None:
-    world.app.state.authenticator.requests = RateLimit(2)
+    world.limit("requests", 2)
     for _ in range(2):
         async with server.open(key=world.keys["viewer"]):
             pass
