@@ -14,16 +14,22 @@ from pathlib import Path
 import pytest
 from xdist.remote import Producer
 from xdist.scheduler import LoadScopeScheduling
+from xdist.workermanage import WorkerController
 
 #: Files, by the beginning of their paths, whose tests share something that is slow to start: one
-#: worker of pytest-xdist runs them all; other files go one by one. Those of the browser take longer
-#: than a worker has: two of them start their plant.
+#: worker of pytest-xdist runs them all; other files go one by one.
 TOGETHER = (
-    r"tests/browser/test_[a-f]",
     r"tests/browser/",
     r"tests/faults/test_wires",
     r"tests/service/offline/",
     r"tests/twin_core/identification/",
+)
+#: Files of tests that start whole services, with processes that keep more than one core at work.
+#: One worker runs them, one after another, while the others run the rest: with two of them at the
+#: same time what one of them waits for comes too late for reasons that the other one has.
+WHOLE_SERVICES = (
+    r"tests/(browser/(?!.*_parts)|faults|foreign|integration/(?!adapters)|security)"
+    r"|tests/service/cli/test_serve"
 )
 RECORDED = Path(__file__).with_suffix(".json")
 MEASURED = Path(__file__).parents[1] / "build" / "test-seconds.json"
@@ -65,6 +71,15 @@ class Sharing(LoadScopeScheduling):
 
     def _split_scope(self, nodeid: str) -> str:
         return group(nodeid)
+
+    def _assign_work_unit(self, node: WorkerController) -> None:
+        """Give tests of whole services to the first worker, and the rest to the others."""
+        services = node is self.nodes[0]
+        for scope in self.workqueue:
+            if bool(re.match(WHOLE_SERVICES, scope)) == services:
+                self.workqueue.move_to_end(scope, last=False)
+                break
+        super()._assign_work_unit(node)
 
 
 class Seconds:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tools.gate import UNSTABLE_MAX
+from tools.gate import LOOKS_MAX
 
 ROOT = Path(__file__).resolve().parents[1]
 pytestmark = pytest.mark.wires
@@ -28,7 +28,9 @@ def fail_first(name, times):
 
 def gate(folder: Path, suite: str, *paths: str, **environment: str) -> tuple[int, list[str]]:
     """Run the gate over a suite of one file; exit status and the lines that it printed."""
-    (folder / "pytest.ini").write_text("[pytest]\naddopts = -p no:schemathesis\n")
+    (folder / "pytest.ini").write_text(
+        "[pytest]\naddopts = -p no:schemathesis --dist=loadscope\nmarkers =\n    wires\n"
+    )
     (folder / "test_suite.py").write_text(suite)
     inherited = {name: value for name, value in os.environ.items() if name != "CI"}
     done = subprocess.run(
@@ -78,15 +80,32 @@ def test_what_fails_twice_fails(tmp_path: Path) -> None:
     assert lines[-1] == "2 passed, 1 of them at the second look, 1 failed"
 
 
+def test_a_story_is_looked_at_with_its_whole_file(tmp_path: Path) -> None:
+    """What goes on where the test before ended cannot pass alone; its failures are one look."""
+    suite = FAILS_FIRST + (
+        "pytestmark = pytest.mark.wires\nbegun = []\n"
+        "def test_begin(): begun.append(1); fail_first('begin', 1)\n"
+        f"@pytest.mark.parametrize('step', range({LOOKS_MAX}))\n"
+        "def test_go_on(step): assert begun; fail_first(f'step-{step}', 1)\n"
+        "def test_end(): assert begun\n"
+    )
+    status, lines = gate(tmp_path, suite)
+    assert (status, lines[-1]) == (
+        0,
+        f"{LOOKS_MAX + 2} passed, {LOOKS_MAX + 1} of them at the second look",
+    )
+    assert lines.count("second look at test_suite.py") == 1
+
+
 def test_so_many_are_looked_at_and_no_more(tmp_path: Path) -> None:
-    many = UNSTABLE_MAX + 1
+    many = LOOKS_MAX + 1
     suite = FAILS_FIRST + (
         f"@pytest.mark.parametrize('name', range({many}))\n"
         "def test_late(name): fail_first(f'late-{name}', 1)\n"
     )
     status, lines = gate(tmp_path, suite)
     assert (status, lines[-1]) == (1, f"0 passed, {many} failed")
-    assert f"ERROR {many} tests failed; at most {UNSTABLE_MAX} are looked at" in lines
+    assert f"ERROR {many} second looks would be needed; at most {LOOKS_MAX} are taken" in lines
     assert (tmp_path / "late-0").read_text() == "x", "nothing was run again"
 
 

@@ -3,11 +3,13 @@
 A few hundred of the tests start processes and open sockets, and on a busy machine one of them fails
 now and then for a reason that has nothing to do with a change. So each test that failed, or whose
 fixture did, has a second look: in a process of its own, one after another, with nothing next to it.
+Tests that use real sockets, other processes or a browser share what their file starts, and some go
+on where the one before ended: of them the second look takes the whole file.
 A test that passes then is *unstable*: the run passes, its last lines name the test, and the first
 failure is kept in ``build/unstable``. The model is ``regrtest --rerun`` of CPython.
 
-What no second look mends: a test that fails twice, more than five that fail, an error while tests
-are collected, a worker that crashed, and in continuous integration a test that is skipped.
+What no second look mends: a test that fails twice, more than five looks, an error while tests are
+collected, a worker that crashed, and in continuous integration a test that is skipped.
 """
 
 import os
@@ -20,8 +22,8 @@ from pathlib import Path
 
 from tools.gate_report import REPORT_VARIABLE, Report, read
 
-UNSTABLE_MAX = 5
-WORKERS = 3  # many tests wait for processes: three workers keep two cores at work
+LOOKS_MAX = 5
+WORKERS = 2  # one of them runs the tests of whole services (tests/seconds.py)
 BUILD = Path("build")
 UNSTABLE = BUILD / "unstable"
 
@@ -38,10 +40,11 @@ def main(paths: Sequence[str]) -> int:
         (UNSTABLE / file_name(test)).write_text(text, encoding="utf-8")
     unstable: list[str] = []
     failed: list[str] = []
-    for test in first.failed:
-        write(f"\nsecond look at {test}")
-        status, second = look([test])
-        (unstable if status == 0 and second.passed == [test] else failed).append(test)
+    for target, tests in second_looks(first).items():
+        write(f"\nsecond look at {target}")
+        status, second = look([target])
+        for test in tests:
+            (unstable if status == 0 and test in second.passed else failed).append(test)
     return end(first, unstable=unstable, failed=failed)
 
 
@@ -57,14 +60,24 @@ def look(arguments: Sequence[str]) -> tuple[int, Report]:
     return done.returncode, read(file)
 
 
+def second_looks(report: Report) -> dict[str, list[str]]:
+    """Name what is run once more, each with the failed tests for which it is."""
+    looks: dict[str, list[str]] = {}
+    for test in report.failed:
+        target = test.partition("::")[0] if test in report.with_their_file else test
+        looks.setdefault(target, []).append(test)
+    return looks
+
+
 def beyond_a_second_look(status: int, report: Report) -> list[str]:
     """Say why a run fails whatever a second look would show; empty where one is worth it."""
     problems = [f"not collected: {path}" for path in report.not_collected]
     problems += [f"a worker crashed in {test}" for test in report.crashed]
     if os.environ.get("CI"):
         problems += [f"skipped in CI: {test}" for test in report.skipped]
-    if len(report.failed) > UNSTABLE_MAX:
-        problems.append(f"{len(report.failed)} tests failed; at most {UNSTABLE_MAX} are looked at")
+    looks = len(second_looks(report))
+    if looks > LOOKS_MAX:
+        problems.append(f"{looks} second looks would be needed; at most {LOOKS_MAX} are taken")
     if not problems and status != (1 if report.failed else 0):
         problems.append(f"pytest ended with exit status {status}")
     return problems

@@ -13,6 +13,8 @@ import pytest
 
 #: The environment variable that names the file to write; without it nothing is written.
 REPORT_VARIABLE = "BEARING_TWIN_GATE_REPORT"
+#: Marks of tests that share with the others of their file what is slow to start.
+SHARING = {"wires", "browser"}
 
 
 @dataclass
@@ -23,6 +25,8 @@ class Report:
     passed: list[str] = field(default_factory=list)
     #: Names of tests that failed, or whose fixtures did, with the texts of their failures.
     failed: dict[str, str] = field(default_factory=dict)
+    #: Those of the failed tests that share with the others of their file what is slow to start.
+    with_their_file: list[str] = field(default_factory=list)
     skipped: list[str] = field(default_factory=list)
     #: Tests in which a worker ended.
     crashed: list[str] = field(default_factory=list)
@@ -63,6 +67,8 @@ class _Reporter:
             logs = "\n".join(f"--- {title}\n{text}" for title, text in report.sections)
             text = f"{report.when} took {report.duration:.1f} s\n{report.longreprtext}\n{logs}\n"
             seen.failed[test] = seen.failed.get(test, "") + text
+            if SHARING & report.keywords.keys() and test not in seen.with_their_file:
+                seen.with_their_file.append(test)
         elif report.skipped and not hasattr(report, "wasxfail"):
             seen.skipped.append(test)
         elif report.when == "call":

@@ -220,7 +220,6 @@ def test_a_newcomers_bench_is_live_from_the_browser(
     sys.stdout.write(f"live after {took_s:.0f} s\n")
 
 
-@pytest.mark.thorough
 def test_a_saved_asset_is_undone_and_restored(
     context: BrowserContext, service: EmptyService
 ) -> None:

@@ -412,7 +412,6 @@ def chart_pixels(page: Page) -> int:
     return count
 
 
-@pytest.mark.thorough
 def test_a_version_that_failed_a_gate_is_activated_only_against_it(
     open_view: Any, site: Site, problems: list[str]
 ) -> None:

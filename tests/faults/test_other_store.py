@@ -44,6 +44,7 @@ class Site(Station):
         return bool(self.check("store")["status"] == status)
 
 
+@pytest.mark.endurance
 def test_no_machine_gets_samples_of_another_and_a_person_says_when_to_go_on(
     tmp_path: Path,
 ) -> None:

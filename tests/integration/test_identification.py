@@ -167,6 +167,7 @@ def is_at_rest(process_id: int) -> bool:
 
 
 # ---------------------------------------------------------------------- by itself
+@pytest.mark.thorough
 def test_it_identifies_by_itself_after_two_low_risk_points(live: Site) -> None:
     by_itself = [one for one in jobs(live) if one["status"] == "succeeded"][-1]
     assert by_itself["requested_by"] == "automatic"
@@ -183,6 +184,7 @@ def test_it_identifies_by_itself_after_two_low_risk_points(live: Site) -> None:
     assert {round(point["speed_rpm"], -2) for point in shown["operating_points"]} >= {1500, 2400}
 
 
+@pytest.mark.thorough
 def test_a_version_tells_parameters_scores_and_gates(live: Site) -> None:
     model = live.get(f"{MODELS}/2")
     assert model["status"] in ("active", "retired")
@@ -212,6 +214,7 @@ def minutes_between(one: dict[str, Any], other: dict[str, Any]) -> float:
     return (from_rfc3339(other["time"]) - from_rfc3339(one["time"])) / 60e6
 
 
+@pytest.mark.thorough
 def test_versions_are_activated_and_rolled_back_without_a_gap(live: Site) -> None:
     began = live.tags()["t_node_7_c.twin"]["time"]
     newest = max(versions(live))

@@ -146,6 +146,7 @@ def add_feature(folder: Path) -> None:
     (feature / "migrations" / f"{revision}_shift_notes.py").write_text(migration)
 
 
+@pytest.mark.thorough
 def test_what_a_newcomer_adds_runs(
     packages: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -72,6 +72,7 @@ def has_steps(record: Any, origin: dt.datetime, count: int) -> bool:
     return len(steps(record, "TIC101.PV", origin)) >= count
 
 
+@pytest.mark.endurance
 async def test_nothing_is_missing_or_doubled_after_a_killed_server(
     follow: Callable[..., Any], peer: Callable[..., Any], free_port: int, origin: dt.datetime
 ) -> None:

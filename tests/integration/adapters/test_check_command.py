@@ -155,6 +155,7 @@ def test_right_sources_are_read_beside_a_wrong_one(check: Callable[..., Any]) ->
     assert document["by"]["t_inner_ring_c"]["quality"] == 192
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("plant")
 def test_a_message_that_never_comes_is_named_within_the_limit(check: Callable[..., Any]) -> None:
     status, document, errors = check(

@@ -207,6 +207,7 @@ def test_a_kept_state_that_cannot_be_read_does_not_keep_it_from_starting(
     assert service.terminate() == 0
 
 
+@pytest.mark.endurance
 def test_it_ends_within_seconds_though_the_store_is_locked(
     configure: Callable[..., Path], start: Start, connect: Callable[[Path], Client]
 ) -> None:

@@ -64,6 +64,7 @@ def told(tmp_path: Path, words: str) -> bool:
     return words in (tmp_path / "told").read_text()
 
 
+@pytest.mark.thorough
 def test_ctrl_c_in_the_middle_still_gives_the_account(demo: Demo, tmp_path: Path) -> None:
     process = demo()
     wait_until(lambda: told(tmp_path, "Stage 2 of"), 150, "the second stage")
