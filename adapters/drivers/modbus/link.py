@@ -2,9 +2,11 @@
 
 import asyncio
 import logging
+import struct
 import termios
 import time
 from collections.abc import Awaitable, Callable, Sequence
+from functools import partial
 from typing import Any
 
 from pymodbus import FramerType
@@ -13,7 +15,15 @@ from pymodbus.exceptions import ConnectionException, ModbusException, ModbusIOEx
 from pymodbus.pdu import ModbusPDU
 
 from adapters import AdapterError
-from adapters.drivers.modbus.config import Kind, ModbusRtuSource, ModbusSource
+from adapters.drivers.modbus.config import BIT_KINDS, Kind, ModbusRtuSource, ModbusSource
+from adapters.drivers.modbus.serial_line import (
+    AMBIGUOUS_BITS,
+    DoubtError,
+    Request,
+    SerialLine,
+    SilenceError,
+    sealed,
+)
 
 # Whatever goes wrong comes back from here as an exception and is reported once, by the driver;
 # pymodbus would log every single failed attempt as an error.
@@ -24,6 +34,9 @@ _FUNCTION_CODES: dict[Kind, int] = {"coil": 1, "discrete": 2, "holding": 3, "inp
 _BIT_FUNCTIONS = (1, 2)
 _HEADER_SIZE = 7  # of a Modbus TCP frame, up to and with the unit
 _LONGEST = 254  # unit and PDU
+_SILENT_CHARACTERS = 3.5  # between two frames of a serial line
+_CHARACTER_BITS = 11
+_SILENCE_S = 0.002  # at any speed: what was heard must have come up to here
 
 
 class NoAnswerError(AdapterError):
@@ -64,12 +77,19 @@ class _SerialClient(_ReadOnly, AsyncModbusSerialClient):
     pass
 
 
+def _hear(line: SerialLine, data: bytes, addr: tuple[Any, ...] | None = None) -> int:
+    """Hand all that came to the line; gives how much of it is done with."""
+    line.hear(data)
+    return len(data)
+
+
 class Link:
     """A connection that is thrown away after every doubt.
 
     A late reply must never be taken for the answer to a newer request, so a time-out or a foreign
-    frame drops the connection; the next `connect` starts with a new client. Nothing can be written
-    over it: the clients refuse every request that is no read.
+    frame drops the connection; the next `connect` starts with a new client. Where frames have no
+    transaction number, `SerialLine` keeps answers apart over all connections. Nothing can be
+    written over it: the clients refuse every request that is no read.
     """
 
     def __init__(self, source: ModbusSource) -> None:
@@ -80,6 +100,12 @@ class Link:
         self._waiting = False
         self._garbage = False
         self._free_at = 0.0  # wall (monotonic) time from which the next request may go out
+        self._line: SerialLine | None = None
+        if isinstance(source, ModbusRtuSource):
+            silence_s = _SILENT_CHARACTERS * _CHARACTER_BITS / source.baudrate
+            self._line = SerialLine(source.timeout_s, max(silence_s, _SILENCE_S))
+        elif source.framing == "rtu":
+            self._line = SerialLine(source.timeout_s, _SILENCE_S)
 
     @property
     def connected(self) -> bool:
@@ -112,9 +138,9 @@ class Link:
 
     def _new_client(self) -> _TcpClient | _SerialClient:
         source = self.source
+        client: _TcpClient | _SerialClient
         if isinstance(source, ModbusRtuSource):
-            # Every frame carries a checksum, so none need be inspected here.
-            return _SerialClient(
+            client = _SerialClient(
                 source.device,
                 baudrate=source.baudrate,
                 bytesize=source.bytesize,
@@ -125,17 +151,21 @@ class Link:
                 reconnect_delay=0,
                 trace_connect=self._connection_changed,
             )
-        return _TcpClient(
-            source.host,
-            port=source.port,
-            timeout=source.timeout_s,
-            retries=0,
-            reconnect_delay=0,
-            # Frames of a serial line carry a checksum, as above.
-            framer=FramerType.RTU if source.framing == "rtu" else FramerType.SOCKET,
-            trace_packet=None if source.framing == "rtu" else self._inspect,
-            trace_connect=self._connection_changed,
-        )
+        else:
+            client = _TcpClient(
+                source.host,
+                port=source.port,
+                timeout=source.timeout_s,
+                retries=0,
+                reconnect_delay=0,
+                framer=FramerType.RTU if source.framing == "rtu" else FramerType.SOCKET,
+                trace_packet=None if source.framing == "rtu" else self._inspect,
+                trace_connect=self._connection_changed,
+            )
+        if self._line is not None:
+            # What comes is for the line alone: pymodbus takes any sound frame for an answer.
+            client.ctx.callback_data = partial(_hear, self._line)  # type: ignore[method-assign]
+        return client
 
     def drop(self) -> None:
         """Close the connection, if any, without waiting."""
@@ -153,11 +183,20 @@ class Link:
         """
         if self._client is None:
             raise LinkLostError("not connected")
+        if self._line is not None and kind in BIT_KINDS and count in AMBIGUOUS_BITS:
+            most = AMBIGUOUS_BITS.start - 1
+            first = await self.read(kind, unit, address, most)
+            return [*first, *await self.read(kind, unit, address + most, count - most)]
         if (wait_s := self._free_at - time.monotonic()) > 0.0:
             await asyncio.sleep(wait_s)
         self._waiting = True
         try:
-            response = await self._reads[kind](address, count=count, device_id=unit)
+            if self._line is None:
+                response = await self._reads[kind](address, count=count, device_id=unit)
+            else:
+                response = await self._ask_line(
+                    self._client, self._line, _FUNCTION_CODES[kind], unit, address, count
+                )
         except asyncio.CancelledError:
             self.drop()
             raise
@@ -170,7 +209,10 @@ class Link:
             if garbage:
                 raise LinkLostError("answer is not Modbus") from error
             raise NoAnswerError(f"no answer within {self.timeout_s:g} s") from error
-        except ModbusException as error:
+        except SilenceError as error:
+            self.drop()
+            raise NoAnswerError(str(error)) from error
+        except (DoubtError, ConnectionError, ModbusException) as error:
             self.drop()
             raise LinkLostError(str(error)) from error
         finally:
@@ -189,6 +231,23 @@ class Link:
             self.drop()
             raise LinkLostError("answer does not fit the request")
         return values
+
+    @staticmethod
+    async def _ask_line(
+        client: _TcpClient | _SerialClient,
+        line: SerialLine,
+        function: int,
+        unit: int,
+        address: int,
+        count: int,
+    ) -> ModbusPDU:
+        """Read over a line whose frames have no transaction number."""
+        body = struct.pack(">BBHH", unit, function, address, count)
+        frame = await line.exchange(Request(sealed(body), count), client.ctx.send)
+        response = client.ctx.framer.decoder.decode(frame[1:-2])
+        if response is None:
+            raise LinkLostError("answer is not Modbus")
+        return response
 
     def _inspect(self, sending: bool, data: bytes) -> bytes:
         """Keep frames from pymodbus whose lengths lie; they would raise inside the event loop."""
@@ -210,11 +269,13 @@ class Link:
 
     def _connection_changed(self, connected: bool) -> None:
         if not connected:
+            if self._line is not None:
+                self._line.lose()
             self._fail(ConnectionException("connection lost"))
 
     def _fail(self, error: ModbusException) -> None:
         """End the wait for an answer at once; pymodbus would wait out its time."""
-        if self._waiting and self._client is not None:
+        if self._waiting and self._client is not None and self._line is None:
             future = self._client.ctx.response_future
             if not future.done():
                 future.set_exception(error)
