@@ -52,6 +52,8 @@ class SourceHealth:
     errors: dict[str, int] = field(default_factory=dict)  # number of errors by kind
     #: What is wrong with single channels, by ``asset/channel``, where the source knows.
     problems: dict[str, str] = field(default_factory=dict)
+    #: Whether it has been listened to for long enough to say who sends its values.
+    settled: bool = True
 
     def count_error(self, kind: str) -> None:
         """Add one to the number of errors of this kind."""

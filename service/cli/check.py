@@ -55,6 +55,7 @@ def check(
         warnings.append(f"{where}the assets in the store were not checked: see the errors")
     probed = asyncio.run(probe(found.wiring))
     errors += [where + line for line in probed.problems]
+    warnings += [where + line for line in probed.warnings]
     if as_json:
         from service.documents.checks import CheckDocument
 

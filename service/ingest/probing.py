@@ -107,6 +107,16 @@ class Probe:
         ]
         return lines
 
+    @property
+    def warnings(self) -> list[str]:
+        """What a source says of itself though it is up and gives good values."""
+        wrong = {one.source for one in self.channels if one.is_wrong}
+        return [
+            f"source {one.name!r}: {one.detail}"
+            for one in self.sources
+            if one.up and one.detail != "ok" and one.name not in wrong
+        ]
+
 
 async def probe(wiring: Wiring, limit_s: float = PROBE_WALL_S) -> Probe:
     """Connect to every source, side by side, and read each channel once."""
@@ -169,13 +179,15 @@ async def _listen(answer: _Answer, clock: ProcessClock) -> None:
             async for batch in driver.batches():
                 answer.latest |= {(one.asset, one.channel): one for one in batch.samples}
                 answer.steps |= {plan.asset: len(plan.steps) for plan in batch.plans}
-                _note(answer, driver)
-                if answer.complete or not answer.up:
+                settled = _note(answer, driver)
+                if (answer.complete and settled) or not answer.up:
                     return
         finally:
             _note(answer, driver)
 
 
-def _note(answer: _Answer, driver: Driver) -> None:
+def _note(answer: _Answer, driver: Driver) -> bool:
+    """Note how a source is doing; whether that is all there is to be known."""
     health = driver.health()
     answer.up, answer.detail, answer.problems = health.up, health.detail, dict(health.problems)
+    return health.settled

@@ -13,6 +13,6 @@ CAN = DriverSpec(
     CanSource,
     CanChannel,
     plan_model=None,
-    check_function="adapters.drivers.can.decoding:check",
+    check_function="adapters.drivers.can.binding:check",
     driver_class="adapters.drivers.can.driver:CanDriver",
 )

@@ -48,9 +48,11 @@ class CanChannel(MeasuredChannel):
     """Which signal of which message a channel is.
 
     `frame_id_mask` says which bits of the identifier must agree with the DBC's. Without it all
-    must; of a J1939 message neither priority nor the sender's address.
+    must; of a J1939 message neither priority nor, where the file has one message of the group, the
+    sender's address. `sentinels` are raw values, as decoded, that mean "no value".
     """
 
     message: str
     signal: str
     frame_id_mask: int | None = Field(default=None, ge=1, le=0x1FFFFFFF)
+    sentinels: tuple[float, ...] = ()

@@ -7,8 +7,8 @@ from collections.abc import AsyncIterator, Sequence
 from types import TracebackType
 from typing import Self
 
+from adapters.drivers.can.binding import bind, check
 from adapters.drivers.can.config import CanSource
-from adapters.drivers.can.decoding import bind, check
 from adapters.drivers.can.reader import Reader
 from adapters.protocol import ChannelBinding, Clock, PlanBinding, SourceHealth
 from adapters.samples import Batch
@@ -16,6 +16,7 @@ from adapters.samples import Batch
 logger = logging.getLogger(__name__)
 
 BATCH_S = 0.02  # wall; frames that come within this time travel together
+MOST_NAMED = 5  # channels in the one line that says what is wrong
 STOP_S = 2.0  # wall; longest wait for the listening thread to end
 
 
@@ -105,6 +106,17 @@ class CanDriver:
                 problems.append(f"{message.message.name}: no frame for {age_us / 1e6:.1f} s")
             else:
                 fresh = True
+            note = message.senders.note() if message.senders is not None else ""
+            problems += [f"{message.message.name} {note}"] if note else []
+        channels = {
+            signal.label: signal.problem
+            for message in self._messages.values()
+            for signal in message.signals
+            if signal.problem
+        }
+        problems += [f"{label}: {text}" for label, text in list(channels.items())[:MOST_NAMED]]
+        if len(channels) > MOST_NAMED:
+            problems.append(f"and {len(channels) - MOST_NAMED} more channels")
         last_good_us = max((m.last_good_us for m in self._messages.values()), default=0)
         health.up = fresh and not reader.problem
         health.detail = "; ".join(problems) or "ok"
@@ -113,4 +125,7 @@ class CanDriver:
         health.skipped = reader.skipped
         health.reconnects = reader.reconnects
         health.errors = reader.errors()
+        health.problems = channels
+        senders = [one.senders for one in self._messages.values() if one.senders is not None]
+        health.settled = all(one.is_settled(now_us) for one in senders)
         return health

@@ -14,9 +14,9 @@ import can
 
 from adapters import AdapterError
 from adapters.backoff import Backoff
+from adapters.drivers.can.binding import MessageTable
 from adapters.drivers.can.bus import close_bus, open_bus
 from adapters.drivers.can.config import CanSource
-from adapters.drivers.can.decoding import MessageTable
 from adapters.protocol import Clock
 from adapters.samples import Sample
 
@@ -157,7 +157,7 @@ class Reader(threading.Thread):
         if message is None:
             self._count("unknown_id")
             return
-        samples = message.decode(frame.data, self._clock.now_us())
+        samples = message.receive(frame.arbitration_id, frame.data, self._clock.now_us())
         for kind in message.errors:
             self._count(kind)
         self._lost = False

@@ -2,14 +2,15 @@
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
-from cantools.database.can import Database
+from cantools.database.can import Database, Message, Signal
 
+from adapters.drivers.can.binding import bind_to
 from adapters.drivers.can.bus import close_bus, open_bus
 from adapters.drivers.can.config import CanChannel, CanSource
-from adapters.drivers.can.decoding import bind, load_dbc
+from adapters.drivers.can.dbc import flaw, load_dbc, same_identifier
 from adapters.protocol import ChannelBinding
 from adapters.samples import Sample, is_good, meaning
 
@@ -27,7 +28,7 @@ class SignalSeen:
     signal: str
     unit: str  # as the file gives it
     frames: int = 0  # how many of its frames came while one listened
-    value: float | None = None  # the latest; None where none came or it means "no value"
+    value: float | None = None  # the latest good one; None where none came
     detail: str = "no frame came"  # why there is no good value; else empty
 
 
@@ -45,12 +46,15 @@ class _Heard:
     frames: int = 0
     by_message: dict[str, int] = field(default_factory=dict)
     latest: dict[str, Sample] = field(default_factory=dict)
+    problems: dict[str, str] = field(default_factory=dict)  # why the latest is not good
+    unusable: Mapping[str, str] = field(default_factory=dict)  # messages, and why
     unknown: dict[str, None] = field(default_factory=dict)
 
 
 def described_signals(source: CanSource) -> list[SignalSeen]:
     """List the signals of a source's DBC file; opens no bus. Raises `ConfigurationError`."""
-    return _signals(load_dbc(source), _Heard())
+    database = load_dbc(source)
+    return _signals(database, _Heard(unusable=_unusable(database)))
 
 
 def listen(source: CanSource, listen_s: float) -> BusSeen:
@@ -61,8 +65,11 @@ def listen(source: CanSource, listen_s: float) -> BusSeen:
     opened.
     """
     database = load_dbc(source)
-    messages = bind(source, _bindings(source, database))
-    heard = _Heard()
+    heard = _Heard(unusable=_unusable(database))
+    messages = bind_to(database, source, _bindings(source, database, heard.unusable))
+    for bound in messages.values():
+        if bound.senders is not None:
+            bound.senders.settle_us = 0  # what is shown here is looked at, not stored
     bus = open_bus(source)
     try:
         until = time.monotonic() + listen_s
@@ -78,14 +85,26 @@ def listen(source: CanSource, listen_s: float) -> BusSeen:
                 continue
             name = message.message.name
             heard.by_message[name] = heard.by_message.get(name, 0) + 1
-            samples = message.decode(frame.data, time.time_ns() // 1000)
+            samples = message.receive(frame.arbitration_id, frame.data, time.time_ns() // 1000)
             heard.latest |= {sample.channel: sample for sample in samples}
     finally:
         close_bus(bus)
+    heard.problems = {
+        one.channel: one.problem for bound in messages.values() for one in bound.signals
+    }
     return BusSeen(heard.frames, _signals(database, heard), tuple(heard.unknown))
 
 
-def _bindings(source: CanSource, database: Database) -> list[ChannelBinding]:
+def _unusable(database: Database) -> dict[str, str]:
+    """Name the messages from which no value can be read, and why."""
+    messages = database.messages
+    reasons = {one.name: flaw(messages, one) or same_identifier(messages, one) for one in messages}
+    return {name: reason for name, reason in reasons.items() if reason}
+
+
+def _bindings(
+    source: CanSource, database: Database, unusable: Mapping[str, str]
+) -> list[ChannelBinding]:
     return [
         ChannelBinding(
             "",
@@ -93,36 +112,27 @@ def _bindings(source: CanSource, database: Database) -> list[ChannelBinding]:
             CanChannel(source=source.name, message=message.name, signal=signal.name),
         )
         for message in database.messages
+        if message.name not in unusable
         for signal in message.signals
     ]
 
 
 def _signals(database: Database, heard: _Heard) -> list[SignalSeen]:
     return [
-        _seen(
-            message.name,
-            signal.name,
-            signal.unit or "",
-            heard.by_message.get(message.name, 0),
-            heard.latest,
-        )
-        for message in database.messages
-        for signal in message.signals
+        _seen(message, signal, heard) for message in database.messages for signal in message.signals
     ]
 
 
-def _seen(
-    message: str, signal: str, unit: str, frames: int, latest: Mapping[str, Sample]
-) -> SignalSeen:
-    sample = latest.get(f"{message}{_PART}{signal}")
-    if sample is None:
-        return SignalSeen(message, signal, unit, frames)
-    good = is_good(sample.quality)
-    return SignalSeen(
-        message,
-        signal,
-        unit,
-        frames,
-        sample.value if good else None,
-        "" if good else meaning(sample.quality),
+def _seen(message: Message, signal: Signal, heard: _Heard) -> SignalSeen:
+    name = f"{message.name}{_PART}{signal.name}"
+    seen = SignalSeen(
+        message.name, signal.name, signal.unit or "", heard.by_message.get(message.name, 0)
     )
+    if message.name in heard.unusable:
+        return replace(seen, detail=heard.unusable[message.name])
+    sample = heard.latest.get(name)
+    if sample is None:
+        return seen
+    good = is_good(sample.quality)
+    detail = "" if good else heard.problems[name] or meaning(sample.quality)
+    return replace(seen, value=sample.value if good else None, detail=detail)

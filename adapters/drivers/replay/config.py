@@ -67,6 +67,7 @@ class ReplayChannel(MeasuredChannel):
     message: str | None = None
     signal: str | None = None
     frame_id_mask: int | None = Field(default=None, ge=1, le=0x1FFFFFFF)
+    sentinels: tuple[float, ...] = ()
 
     @model_validator(mode="after")
     def _one_place(self) -> Self:

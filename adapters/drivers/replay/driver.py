@@ -10,8 +10,8 @@ from types import TracebackType
 from typing import Self
 
 from adapters.configuration import ConfigurationError, suggestion
+from adapters.drivers.can.binding import bind
 from adapters.drivers.can.config import CanChannel, CanSource
-from adapters.drivers.can.decoding import bind
 from adapters.drivers.replay.config import ReplayChannel, ReplaySource
 from adapters.drivers.replay.tables import open_recording
 from adapters.protocol import ChannelBinding, Clock, PlanBinding, SourceHealth
@@ -186,7 +186,7 @@ def _frames(source: ReplaySource, channels: Sequence[ChannelBinding]) -> Iterato
             usable = not (frame.is_error_frame or frame.is_remote_frame)
             if message is not None and usable and math.isfinite(frame.timestamp):
                 time_us = round(frame.timestamp * 1e6)
-                yield time_us, message.decode(frame.data, time_us)
+                yield time_us, message.receive(frame.arbitration_id, frame.data, time_us)
 
 
 def _as_can(

@@ -73,7 +73,7 @@ async def test_no_doubtful_frame_becomes_a_good_value(
         for line, error in [
             ("t1008FFFF000000000000", "not_available"),
             ("T18FEF1008FFFE000000000000", "outside_dbc_limits"),
-            ("t100210A4", "wrong_length"),
+            ("t100110", "wrong_length"),
             ("t1238" + "00" * 8, "unknown_id"),
             # the standard frame 0x100 must not be taken for the extended one
             ("T000001008" + "00" * 8, "unknown_id"),
@@ -99,6 +99,32 @@ async def test_no_doubtful_frame_becomes_a_good_value(
         adapter.tell("line t1008" + "8183" + "00" * 6)
         await record.until(lambda: record.samples[-1].value > 4208.0)
         assert record.driver.health().reconnects == 0
+
+
+async def test_a_second_sender_of_a_group_is_named_and_never_mixed_in(
+    source: dict[str, Any], free_port: int, drive: Callable[..., Any], peer: Callable[..., Any]
+) -> None:
+    adapter = peer("slcan_adapter.py", free_port, 0.05)
+    adapter.start()
+    oil = {"t_node_1_c": {"message": "EngineTemperature", "signal": "Oil"}}
+    own, other, third = "T18FEF000", "T18FEF02A", "T18FEF02B"
+    async with drive(source, oil) as record:
+        await record.until(lambda: record.driver.health().polls > 0)
+        adapter.tell(f"line {other}8" + "64" + "FF" * 7)
+        await record.until(lambda: record.samples)
+        assert record.samples[-1].quality == Quality.WAITING_FOR_INITIAL_DATA
+        adapter.tell(f"line {third}8" + "65" + "FF" * 7)
+        await record.until(lambda: len(record.samples) == 2)
+        assert (record.samples[-1].value, record.samples[-1].quality) == (61.0, Quality.UNCERTAIN)
+        health = record.driver.health()
+        assert health.detail.startswith("EngineTemperature has several senders (0x2a, 0x2b)")
+        assert "several senders" in health.problems["bench/t_node_1_c"]
+        adapter.tell(f"line {own}8" + "66" + "FF" * 7)
+        adapter.tell(f"line {other}8" + "67" + "FF" * 7)
+        await record.until(lambda: record.driver.health().errors.get("other_sender") == 1)
+        await record.until(lambda: len(record.samples) == 3)
+        assert (record.samples[-1].value, record.samples[-1].quality) == (62.0, GOOD)
+        assert record.driver.health().problems == {}
 
 
 async def test_comes_back_by_itself_from_a_killed_adapter_also_at_the_first_start(

@@ -3,7 +3,8 @@
 import json
 import subprocess
 import sys
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -153,6 +154,44 @@ def test_right_sources_are_read_beside_a_wrong_one(check: Callable[..., Any]) ->
     assert "load_n" not in document["by"]
     assert document["by"]["speed_rpm"]["quality"] == 192
     assert document["by"]["t_inner_ring_c"]["quality"] == 192
+
+
+@pytest.mark.parametrize(
+    ("senders", "quality"), [(("00", "2A"), 192), (("2A", "2B"), 64), (("2A",), 192)]
+)
+def test_the_senders_of_a_group_are_named(
+    check: Callable[..., Any],
+    ports: dict[str, int],
+    peer: Callable[..., Any],
+    senders: Sequence[str],
+    quality: int,
+) -> None:
+    peer("pymodbus_server.py", ports["modbus"]).start()
+    adapter = peer("slcan_adapter.py", ports["can"], 0.05)
+    adapter.start()
+    ended = threading.Event()
+
+    def send() -> None:
+        while not ended.wait(0.05):
+            for number, sender in enumerate(senders):
+                adapter.tell(f"line T18FEF0{sender}8{0x64 + number:02X}" + "FF" * 7)
+
+    sending = threading.Thread(target=send)
+    sending.start()
+    try:
+        status, document, errors = check(
+            a='message = "LoadCell", signal = "RadialLoad" -> '
+            'message = "EngineTemperature", signal = "Oil"'
+        )
+    finally:
+        ended.set()
+        sending.join()
+    assert document["by"]["load_n"]["quality"] == quality
+    assert status == (0 if quality == 192 else 2)
+    assert ("EngineTemperature has several senders" in errors) == (senders == ("00", "2A"))
+    assert ("load_n (source 'drive'): has several senders" in errors) == (quality != 192)
+    if quality == 192:
+        assert document["by"]["load_n"]["value"] == 60.0
 
 
 @pytest.mark.thorough
