@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from cantools.database.can import Message
 
 from adapters.configuration import ConfigurationError
 from adapters.drivers.can.binding import MessageTable, bind, check
@@ -303,6 +304,16 @@ def test_messages_that_only_the_addressee_tells_apart(tmp_path: Path) -> None:
     ]
 
 
+def test_messages_of_any_sender_that_only_the_addressee_tells_apart(tmp_path: Path) -> None:
+    file = source(dbc=group(tmp_path, One=0x18EF10FE, Other=0x18EF11FE))
+    table = bind(file, [channel(name, message=name, signal="T") for name in ("One", "Other")])
+    hear(table, (0x18EF1080, 10.0, S), (0x18EF1181, 20.0, S))
+    assert hear(table, (0x18EF1080, 10.0, 4 * S), (0x18EF1181, 20.0, 4 * S)) == [
+        ("One", 10.0, 192),
+        ("Other", 20.0, 192),
+    ]
+
+
 def test_a_sender_that_the_file_does_not_name_is_taken_as_long_as_it_is_the_only_one(
     tmp_path: Path,
 ) -> None:
@@ -378,6 +389,24 @@ def test_a_message_that_cannot_be_read_for_certain_is_refused_by_name_where_it_i
     assert all(shown[name] != "no frame came" for name in names)
 
 
+def test_each_message_of_a_large_file_is_examined_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Commissioning binds all signals of a file; by each one anew it took half a minute."""
+    examined: list[str] = []
+    refresh = Message.refresh
+
+    def count(this: Message, strict: bool | None = None) -> None:
+        if strict:
+            examined.append(this.name)
+        refresh(this, strict)
+
+    monkeypatch.setattr(Message, "refresh", count)
+    names = ("Speed", "Torque", "State")
+    bind(source(), [channel(name, message="DriveStatus", signal=name) for name in names])
+    assert examined == ["DriveStatus"]
+
+
 def code_of(folder: Path, signal: str, table: str, raw: bytes, **keys: Any) -> Sample:
     dbc = described(folder, f'BO_ 512 M: 8 A\n SG_ T : {signal} [0|0] "" A\n{table}')
     (bound,) = bind(source(dbc=dbc), [channel("c", message="M", signal="T", **keys)]).values()
@@ -426,6 +455,8 @@ def test_a_code_is_no_measurement(tmp_path: Path, signal: str, table: str, raw: 
         (SIGNED, "", struct.pack("<h", -1), -0.01),
         (SIGNED, '-1 "just below zero"', b"\xff" * 8, -0.01),
         (WIDE, '3 "Information"', b"\3\0", 3.0),
+        ("0|8@1+ (1,0)", '0 "No_Error" 1 "Error"', b"\0", 0.0),
+        (WIDE, '0 "fault free" 65534 "fault"', b"\0\0", 0.0),
     ],
 )
 def test_a_label_is_not_always_a_code(
@@ -441,6 +472,9 @@ def test_sentinels_are_raw_values(tmp_path: Path) -> None:
     assert code_of(tmp_path, SIGNED, "", raw).value == pytest.approx(-9.99)
     sample = code_of(tmp_path, SIGNED, "", raw, sentinels=[-999])
     assert sample.quality == Quality.SENSOR_FAILURE
+    for sentinels in ([40_000], [-9.99]):
+        with pytest.raises(ConfigurationError, match="whole numbers from -32768 to 32767"):
+            code_of(tmp_path, SIGNED, "", raw, sentinels=sentinels)
 
 
 @pytest.mark.parametrize(

@@ -4,22 +4,22 @@ import math
 from collections.abc import Mapping, Sequence
 
 import can
-from cantools.database.can import Database, Message, Signal
+from cantools.database.can import Message, Signal
 
 from adapters.configuration import ConfigurationError, suggestion
 from adapters.drivers.can.config import CanChannel, CanSource
-from adapters.drivers.can.dbc import find_message, find_signal, identifier, load_dbc
+from adapters.drivers.can.dbc import (
+    DbcFile,
+    FrameKey,
+    find_signal,
+    frame_key,
+    identifier,
+    load_dbc,
+)
 from adapters.drivers.can.decoding import BoundMessage, BoundSignal, Page, SingleSignal
 from adapters.drivers.can.no_value import no_value
-from adapters.drivers.can.senders import (
-    ALL_IDENTIFIER_BITS,
-    group_of,
-    identifier_mask,
-    senders,
-)
+from adapters.drivers.can.senders import ALL_IDENTIFIER_BITS, identifier_mask, senders
 from adapters.protocol import ChannelBinding, PlanBinding
-
-FrameKey = tuple[int, bool]  # identifier, extended or not
 
 MOST_FOUND = 4096  # identifiers remembered
 
@@ -27,7 +27,7 @@ MOST_FOUND = 4096  # identifiers remembered
 class MessageTable:
     """The messages that must be decoded, by identifier, with the bits of it that must agree.
 
-    ``bound`` has None for a message of the file that nobody reads, whose frames no other may take.
+    ``bound`` has None for a message that no channel reads: no other message takes its frames.
     """
 
     def __init__(self, bound: Mapping[FrameKey, tuple[BoundMessage | None, int]]) -> None:
@@ -94,9 +94,7 @@ def bind(source: CanSource, channels: Sequence[ChannelBinding]) -> MessageTable:
     return bind_to(load_dbc(source), source, channels)
 
 
-def bind_to(
-    database: Database, source: CanSource, channels: Sequence[ChannelBinding]
-) -> MessageTable:
+def bind_to(file: DbcFile, source: CanSource, channels: Sequence[ChannelBinding]) -> MessageTable:
     """Compile channels as `bind` does, with a DBC file that has been read."""
     bound: dict[FrameKey, tuple[BoundMessage, int]] = {}
     seen: set[tuple[str, str]] = set()
@@ -109,14 +107,14 @@ def bind_to(
         if (binding.asset, binding.channel) in seen:
             raise ConfigurationError(f"source {source.name!r}: {where} is bound twice")
         seen.add((binding.asset, binding.channel))
-        message = find_message(database, source, config, where)
+        message = file.message(config, where)
         signal = find_signal(message, config, where)
         mask = config.frame_id_mask
         if mask is None:
-            others = group_of(message, database.messages)
+            others = file.others_of_group(message)
             mask = identifier_mask(message, others)
-            rivals |= {_key(other): other for other in others}
-        key = _key(message)
+            rivals |= {frame_key(other): other for other in others}
+        key = frame_key(message)
         if key not in bound:
             asked_for = config.frame_id_mask is not None
             known = BoundMessage(message, senders(message, mask, asked_for=asked_for))
@@ -125,8 +123,8 @@ def bind_to(
         if entry.message is not message:
             raise ConfigurationError(
                 f"{where}: messages {entry.message.name!r} and {message.name!r} of "
-                f"{str(source.dbc)!r} have one identifier ({identifier(message)}), and a frame has "
-                "no more to tell them apart; expected channels of one of them only"
+                f"{file.path!r} have one identifier ({identifier(message)}), and a frame does not "
+                "say which of them it is; expected channels of one of them only"
             )
         if known_mask != mask:
             raise ConfigurationError(
@@ -137,14 +135,10 @@ def bind_to(
         if config.max_age_s is not None:
             entry.max_age_s = max(entry.max_age_s or 0.0, config.max_age_s)
     unread = {
-        key: (None, identifier_mask(rival, group_of(rival, database.messages)))
+        key: (None, identifier_mask(rival, file.others_of_group(rival)))
         for key, rival in rivals.items()
     }
     return MessageTable({**unread, **bound})
-
-
-def _key(message: Message) -> FrameKey:
-    return message.frame_id, message.is_extended_frame
 
 
 def _bound_signal(
@@ -160,12 +154,27 @@ def _bound_signal(
         pages=_pages(message, signal),
         scale=scale,
         offset=float(signal.offset),
-        no_value=no_value(message, signal, config.sentinels),
+        no_value=no_value(message, signal, _sentinels(binding, config, signal)),
         limits=(lowest, highest),
         # The limits of the DBC are decimal numbers, the value is computed: half a step of slack.
         slack=1e-6 * abs(scale) if signal.is_float else 0.5 * abs(scale),
         valid_range=config.valid_range,
     )
+
+
+def _sentinels(binding: ChannelBinding, config: CanChannel, signal: Signal) -> Sequence[float]:
+    """The channel's sentinels. Raises `ConfigurationError` for one that can never occur."""
+    lowest = -1 << (signal.length - 1) if signal.is_signed else 0
+    highest = lowest + (1 << signal.length) - 1
+    for sentinel in config.sentinels:
+        whole = sentinel.is_integer() and lowest <= sentinel <= highest
+        if not signal.is_float and not whole:
+            raise ConfigurationError(
+                f"channel {binding.asset}/{binding.channel}: sentinels {sentinel:g} can never "
+                f"occur in signal {signal.name!r}; expected raw values, whole numbers from "
+                f"{lowest} to {highest}"
+            )
+    return config.sentinels
 
 
 def _pages(message: Message, signal: Signal) -> list[Page]:

@@ -1,6 +1,8 @@
 """What a DBC file says of the messages and signals that are asked for."""
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import TypeVar
 
 import cantools.database
 from cantools.database.can import Database, Message, Signal
@@ -8,12 +10,61 @@ from cantools.errors import Error as CantoolsError
 
 from adapters.configuration import ConfigurationError, suggestion
 from adapters.drivers.can.config import CanChannel, CanSource
+from adapters.drivers.can.senders import group_mask, is_j1939
+
+Key = TypeVar("Key")
+FrameKey = tuple[int, bool]  # identifier, extended or not
 
 
-def load_dbc(source: CanSource) -> Database:
+class DbcFile:
+    """The messages of a DBC file, found by name, by identifier and by J1939 group."""
+
+    def __init__(self, path: str, messages: Sequence[Message]) -> None:
+        self.path, self.messages = path, messages
+        self._by_name = _grouped(messages, lambda message: message.name)
+        self._by_key = _grouped(messages, frame_key)
+        self._by_group = _grouped(filter(is_j1939, messages), _group)
+        self._flaws: dict[str, str] = {}
+
+    def message(self, config: CanChannel, where: str) -> Message:
+        """Return the message of a channel. Raises `ConfigurationError` if none is usable."""
+        named = self._by_name.get(config.message)
+        if named is None:
+            raise ConfigurationError(
+                f"{where}: message {config.message!r} is not in {self.path!r}; "
+                + suggestion(config.message, list(self._by_name))
+            )
+        if flaw := self.flaw(named[0]):
+            raise ConfigurationError(
+                f"{where}: message {config.message!r} of {self.path!r}: {flaw}"
+            )
+        return named[0]
+
+    def flaw(self, message: Message) -> str:
+        """Say why no value can be read from a message; empty when one can."""
+        if message.name not in self._flaws:
+            self._flaws[message.name] = _flaw(self._by_name[message.name])
+        return self._flaws[message.name]
+
+    def same_identifier(self, message: Message) -> str:
+        """Say which other message has the identifier of this one; empty when none has."""
+        for other in self._by_key[frame_key(message)]:
+            if other is not message:
+                return f"message {other.name!r} has the same identifier ({identifier(message)})"
+        return ""
+
+    def others_of_group(self, message: Message) -> list[Message]:
+        """Return the messages with another identifier and the same J1939 group."""
+        if not is_j1939(message):
+            return []
+        group = self._by_group[_group(message)]
+        return [other for other in group if other.frame_id != message.frame_id]
+
+
+def load_dbc(source: CanSource) -> DbcFile:
     """Read the source's DBC file. Raises `ConfigurationError` if it cannot be read or is none.
 
-    A message that contradicts itself refuses the file only where it is asked for, see `flaw`.
+    A message that contradicts itself refuses the file only where it is asked for.
     """
     where = f"source {source.name!r}: dbc {str(source.dbc)!r}"
     try:
@@ -21,27 +72,10 @@ def load_dbc(source: CanSource) -> Database:
     except OSError as error:
         raise ConfigurationError(f"{where} cannot be read: {error.strerror or error}") from None
     except (CantoolsError, ValueError) as error:
-        reason = " ".join(str(error).split())[:200]
-        raise ConfigurationError(f"{where} is not a valid DBC file: {reason}") from None
+        raise ConfigurationError(f"{where} is not a valid DBC file: {_one_line(error)}") from None
     if not isinstance(database, Database):
         raise ConfigurationError(f"{where} is not a CAN database")
-    return database
-
-
-def find_message(database: Database, source: CanSource, config: CanChannel, where: str) -> Message:
-    """Return the message of a channel. Raises `ConfigurationError` if there is no usable one."""
-    named = [message for message in database.messages if message.name == config.message]
-    file = f"{str(source.dbc)!r}"
-    if not named:
-        names = [message.name for message in database.messages]
-        raise ConfigurationError(
-            f"{where}: message {config.message!r} is not in {file}; "
-            + suggestion(config.message, names)
-        )
-    reason = flaw(database.messages, named[0])
-    if reason:
-        raise ConfigurationError(f"{where}: message {config.message!r} of {file}: {reason}")
-    return named[0]
+    return DbcFile(str(source.dbc), database.messages)
 
 
 def find_signal(message: Message, config: CanChannel, where: str) -> Signal:
@@ -56,28 +90,9 @@ def find_signal(message: Message, config: CanChannel, where: str) -> Signal:
     )
 
 
-def flaw(messages: Sequence[Message], message: Message) -> str:
-    """Say why no value can be read from a message of a file; empty when one can."""
-    named = [identifier(one) for one in messages if one.name == message.name]
-    if len(named) > 1:
-        return f"the name is there {len(named)} times (identifiers {', '.join(named)})"
-    twice = {one.name for one in message.signals if _count(message, one.name) > 1}
-    if twice:
-        return f"it has several signals of one name ({', '.join(sorted(twice))})"
-    try:
-        message.refresh(strict=True)
-    except CantoolsError as error:
-        return " ".join(str(error).split())[:200]
-    return ""
-
-
-def same_identifier(messages: Sequence[Message], message: Message) -> str:
-    """Say which other message has the identifier of this one; empty when none has."""
-    key = message.frame_id, message.is_extended_frame
-    for other in messages:
-        if other is not message and (other.frame_id, other.is_extended_frame) == key:
-            return f"message {other.name!r} has the same identifier ({identifier(message)})"
-    return ""
+def frame_key(message: Message) -> FrameKey:
+    """The identifier and format of a message's frames."""
+    return message.frame_id, message.is_extended_frame
 
 
 def identifier(message: Message) -> str:
@@ -85,5 +100,33 @@ def identifier(message: Message) -> str:
     return f"{message.frame_id:#x}"
 
 
-def _count(message: Message, name: str) -> int:
-    return sum(signal.name == name for signal in message.signals)
+def _flaw(named: Sequence[Message]) -> str:
+    if len(named) > 1:
+        identifiers = ", ".join(identifier(message) for message in named)
+        return f"the name is there {len(named)} times (identifiers {identifiers})"
+    (message,) = named
+    counts = Counter(signal.name for signal in message.signals)
+    if twice := sorted(name for name, count in counts.items() if count > 1):
+        return f"it has several signals of one name ({', '.join(twice)})"
+    try:
+        message.refresh(strict=True)
+    except CantoolsError as error:
+        return _one_line(error)
+    return ""
+
+
+def _group(message: Message) -> int:
+    return message.frame_id & group_mask(message)
+
+
+def _grouped(
+    messages: Iterable[Message], key: Callable[[Message], Key]
+) -> Mapping[Key, list[Message]]:
+    groups: dict[Key, list[Message]] = {}
+    for message in messages:
+        groups.setdefault(key(message), []).append(message)
+    return groups
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())[:200]

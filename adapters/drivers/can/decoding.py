@@ -4,6 +4,7 @@ import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 from cantools.database.can import Message, Signal
 
@@ -19,17 +20,22 @@ Bytes = bytes | bytearray
 
 
 class SingleSignal:
-    """One signal of a message, read by itself.
+    """One signal of a message, decoded alone.
 
     What lies beside it does not matter: neither other signals nor the length of the frame, as long
     as the signal lies whole in it.
     """
 
     def __init__(self, message: Message, signal: Signal) -> None:
-        alone = copy.copy(signal)
-        alone.is_multiplexer, alone.multiplexer_ids, alone.multiplexer_signal = False, None, None
         self.name = signal.name
-        self._message = Message(
+        self._of, self._signal = message, signal
+
+    @cached_property
+    def _message(self) -> Message:
+        """A message of nothing else; made for the first frame, most of a file never has one."""
+        message, alone = self._of, copy.copy(self._signal)
+        alone.is_multiplexer, alone.multiplexer_ids, alone.multiplexer_signal = False, None, None
+        return Message(
             message.frame_id,
             message.name,
             message.length,
@@ -187,7 +193,7 @@ class BoundMessage:
 
 
 def _is_there(signal: BoundSignal, data: Bytes, numbers: dict[str, float | None]) -> bool | None:
-    """Whether a frame has the signal's page; None when it is too short to tell."""
+    """Whether a frame has the signal's page; None when it is too short to have its number."""
     for page in signal.pages:
         name = page.multiplexer.name
         if name not in numbers:

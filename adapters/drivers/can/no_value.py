@@ -22,8 +22,8 @@ _NO_VALUE = re.compile(
     r"nicht (verf(ue|ü)gbar|g(ue|ü)ltig)|ung(ue|ü)ltig)\b"
 )
 _FAILURE = re.compile(
-    r"\b(err|errors?|fault\w*|fail\w*|defect\w*|broken|malfunction|implausible|"
-    r"(open|short) (circuit|load|wire)|(wire|line|cable) break|fehler\w*|defekt)\b"
+    r"(?<!\bno )\b(err|errors?|fault\w*|fail\w*|defect\w*|broken|malfunction|implausible|"
+    r"(open|short) (circuit|load|wire)|(wire|line|cable) break|fehler\w*|defekt)\b(?! free)"
 )
 
 

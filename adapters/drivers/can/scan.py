@@ -5,12 +5,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
-from cantools.database.can import Database, Message, Signal
+from cantools.database.can import Message, Signal
 
 from adapters.drivers.can.binding import bind_to
 from adapters.drivers.can.bus import close_bus, open_bus
 from adapters.drivers.can.config import CanChannel, CanSource
-from adapters.drivers.can.dbc import flaw, load_dbc, same_identifier
+from adapters.drivers.can.dbc import DbcFile, load_dbc
 from adapters.protocol import ChannelBinding
 from adapters.samples import Sample, is_good, meaning
 
@@ -53,8 +53,8 @@ class _Heard:
 
 def described_signals(source: CanSource) -> list[SignalSeen]:
     """List the signals of a source's DBC file; opens no bus. Raises `ConfigurationError`."""
-    database = load_dbc(source)
-    return _signals(database, _Heard(unusable=_unusable(database)))
+    file = load_dbc(source)
+    return _signals(file, _Heard(unusable=_unusable(file)))
 
 
 def listen(source: CanSource, listen_s: float) -> BusSeen:
@@ -64,9 +64,9 @@ def listen(source: CanSource, listen_s: float) -> BusSeen:
     cannot be used; `Exception` whatever the interface's library raises when the bus cannot be
     opened.
     """
-    database = load_dbc(source)
-    heard = _Heard(unusable=_unusable(database))
-    messages = bind_to(database, source, _bindings(source, database, heard.unusable))
+    file = load_dbc(source)
+    heard = _Heard(unusable=_unusable(file))
+    messages = bind_to(file, source, _bindings(source, file, heard.unusable))
     for bound in messages.values():
         if bound.senders is not None:
             bound.senders.settle_us = 0  # what is shown here is looked at, not stored
@@ -92,18 +92,17 @@ def listen(source: CanSource, listen_s: float) -> BusSeen:
     heard.problems = {
         one.channel: one.problem for bound in messages.values() for one in bound.signals
     }
-    return BusSeen(heard.frames, _signals(database, heard), tuple(heard.unknown))
+    return BusSeen(heard.frames, _signals(file, heard), tuple(heard.unknown))
 
 
-def _unusable(database: Database) -> dict[str, str]:
+def _unusable(file: DbcFile) -> dict[str, str]:
     """Name the messages from which no value can be read, and why."""
-    messages = database.messages
-    reasons = {one.name: flaw(messages, one) or same_identifier(messages, one) for one in messages}
+    reasons = {one.name: file.flaw(one) or file.same_identifier(one) for one in file.messages}
     return {name: reason for name, reason in reasons.items() if reason}
 
 
 def _bindings(
-    source: CanSource, database: Database, unusable: Mapping[str, str]
+    source: CanSource, file: DbcFile, unusable: Mapping[str, str]
 ) -> list[ChannelBinding]:
     return [
         ChannelBinding(
@@ -111,15 +110,15 @@ def _bindings(
             f"{message.name}{_PART}{signal.name}",
             CanChannel(source=source.name, message=message.name, signal=signal.name),
         )
-        for message in database.messages
+        for message in file.messages
         if message.name not in unusable
         for signal in message.signals
     ]
 
 
-def _signals(database: Database, heard: _Heard) -> list[SignalSeen]:
+def _signals(file: DbcFile, heard: _Heard) -> list[SignalSeen]:
     return [
-        _seen(message, signal, heard) for message in database.messages for signal in message.signals
+        _seen(message, signal, heard) for message in file.messages for signal in message.signals
     ]
 
 

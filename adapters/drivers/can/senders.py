@@ -1,8 +1,8 @@
 """Who sends a message whose identifier is not wholly given.
 
 J1939 modules of one kind send the same parameter group, and only the sender's address in the
-identifier tells them apart. The address of a module may differ from that in the DBC file, so any
-sender is taken as long as there is only one.
+identifier says which one it is. The address of a module may differ from that in the DBC file, so
+any sender is taken as long as there is only one.
 """
 
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ J1939_BROADCAST_MASK = 0x03FFFF00
 J1939_ADDRESSED_MASK = 0x03FF0000
 J1939_SENDER_MASK = 0xFF
 J1939_ALL_BUT_PRIORITY = 0x03FFFFFF
-ANY_SENDER = 0xFE  # J1939's null address; in a DBC file: whoever sends
+ANY_SENDER = 0xFE  # J1939's null address; in a DBC file: any sender
 
 MOST_SENDERS = 256
 #: Process time for which one listens before a sender that the file does not name is taken.
@@ -32,7 +32,7 @@ class Senders:
     """Those that were heard, since the start: one that is silent may come back.
 
     - ``own``: the sender that the DBC file names; None when it names none.
-    - ``mask``: the bits of the identifier that tell senders apart.
+    - ``mask``: the bits of the identifier that name the sender.
     - ``asked_for``: the channel's ``frame_id_mask`` takes all of them.
     """
 
@@ -68,7 +68,7 @@ class Senders:
             return ""
         heard = ", ".join(f"{sender:#x}" for sender in self.heard)
         if self.asked_for:
-            return f"comes under several identifiers ({heard}), frame_id_mask takes all"
+            return f"comes under several identifiers ({heard}), its frame_id_mask takes all"
         if self.own in self.heard:
             return (
                 f"has several senders ({heard}), only that of the DBC file ({self.own:#x}) counts"
@@ -104,28 +104,17 @@ def group_mask(message: Message) -> int:
     return J1939_BROADCAST_MASK if to_all else J1939_ADDRESSED_MASK
 
 
-def group_of(message: Message, messages: Sequence[Message]) -> list[Message]:
-    """Return the other messages of a file that a J1939 message's group mask takes in."""
-    mask = group_mask(message)
-    return [
-        other
-        for other in messages
-        if is_j1939(other)
-        and other.frame_id != message.frame_id
-        and (other.frame_id ^ message.frame_id) & mask == 0
-    ]
-
-
 def identifier_mask(message: Message, others: Sequence[Message]) -> int:
-    """Fewest bits of the identifier that tell a message from the others of its group.
+    """Fewest bits of the identifier in which a message differs from the others of its group.
 
     One that the file gives to any sender keeps its group: the others are looked for first.
     """
     mask = group_mask(message)
+    wider = (mask | J1939_SENDER_MASK, J1939_ALL_BUT_PRIORITY, ALL_IDENTIFIER_BITS)
     if message.frame_id & J1939_SENDER_MASK == ANY_SENDER:
         others = [one for one in others if one.frame_id & J1939_SENDER_MASK == ANY_SENDER]
-    wider = (mask | J1939_SENDER_MASK, J1939_ALL_BUT_PRIORITY, ALL_IDENTIFIER_BITS)
+        wider = (J1939_BROADCAST_MASK, ALL_IDENTIFIER_BITS & ~J1939_SENDER_MASK, mask)
     for candidate in (mask, *wider):
         if all((one.frame_id ^ message.frame_id) & candidate for one in others):
             return candidate
-    return ALL_IDENTIFIER_BITS
+    return mask

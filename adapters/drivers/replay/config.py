@@ -73,4 +73,6 @@ class ReplayChannel(MeasuredChannel):
     def _one_place(self) -> Self:
         if (self.column is None) == (self.message is None or self.signal is None):
             raise ValueError("expected either column, or message and signal")
+        if self.column is not None and self.sentinels:
+            raise ValueError("sentinels: expected only with message and signal")
         return self
