@@ -1,12 +1,17 @@
 """Rows of recorded tables, CSV and Parquet, whatever their columns mean."""
 
 import csv
+import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 from adapters import AdapterError
+
+_UTF_16 = (b"\xff\xfe", b"\xfe\xff")
+#: Microseconds of a unit of Parquet's time stamps, and units in one.
+_OF_UNIT = {"s": (1_000_000, 1), "ms": (1000, 1), "us": (1, 1), "ns": (1, 1000)}
 
 
 class TableFileError(AdapterError, ValueError):
@@ -17,14 +22,35 @@ class RowError(AdapterError, ValueError):
     """A row, or a cell of it, that cannot be used; the others can."""
 
 
+class TimeStamp(int):
+    """UTC microseconds of a cell whose column says that it holds times, and of which zone."""
+
+
 class TableRow(NamedTuple):
     """One row of a table."""
 
     read: float  # how much of the file has been read, from 0 to 1
     line: int  # where the row stands
-    #: By column: text in CSV, numbers in Parquet, where a time stamp is an integer in UTC
-    #: microseconds, or text if it has no zone. An error where the row is broken.
+    #: By column: text in CSV; numbers in Parquet, `TimeStamp` where the column has times with a
+    #: zone, text where it has times without one. An error where the row is broken.
     cells: Mapping[str, object] | RowError
+
+
+_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
+
+
+def number_of(text: str, decimal: str = ".") -> float:
+    """Read a number of a file; ``decimal`` stands before its fraction.
+
+    Raises `ValueError` where it is none, as Python's underscores and other scripts' digits.
+    """
+    text = text.strip()
+    if decimal != ".":
+        # A point in such a file separates thousands.
+        text = "" if "." in text else text.replace(decimal, ".")
+    if _NUMBER.fullmatch(text) is None:
+        raise ValueError("expected a number")
+    return float(text)
 
 
 @contextmanager
@@ -58,43 +84,76 @@ def csv_table(
     columns_max: int | None = None,
     cells_max: int | None = None,
 ) -> Iterator[tuple[list[str], Iterator[TableRow]]]:
-    """Read CSV with a header line, in UTF-8 with or without a byte order mark; as `open_table`."""
+    """Read CSV with a header line, in UTF-8 with or without a byte order mark; as `open_table`.
 
-    def lines() -> Iterator[str]:
-        for raw in binary:
-            yield raw.decode("utf-8-sig" if binary.tell() == len(raw) else "utf-8")
+    Each row stands in one line: a quotation mark that is not closed costs its own line, and not
+    all those up to the next one.
+    """
+    lines = enumerate(binary, 1)
+    line, header = next(
+        (
+            (line, cells)
+            for line, raw in lines
+            if (cells := _split(name, line, raw, delimiter)) and not _is_empty(cells)
+        ),
+        (1, None),
+    )
+    if header is None:
+        raise TableFileError(f"{name}: line 1: empty file; expected a header line")
+    if isinstance(header, RowError):
+        raise TableFileError(f"{name}: line {line}: {header}; expected a header line")
+    if columns_max is not None and len(header) > columns_max:
+        raise TableFileError(
+            f"{name}: line {line}: {len(header)} columns; expected at most "
+            f"{columns_max}: one row for each entry, not one column"
+        )
+    columns = [cell.strip() for cell in header]
 
+    def rows() -> Iterator[TableRow]:
+        read = 0
+        for line, raw in lines:
+            cells = _split(name, line, raw, delimiter)
+            read += 1 if isinstance(cells, RowError) else len(cells)
+            if cells_max is not None and read > cells_max:
+                raise TableFileError(
+                    f"{name}: line {line}: more than {cells_max} cells up to here; "
+                    "expected a file in parts"
+                )
+            if _is_empty(cells):
+                continue
+            row: Mapping[str, object] | RowError
+            if isinstance(cells, RowError):
+                row = cells
+            elif len(cells) != len(columns):
+                row = RowError(f"{len(cells)} cells; expected {len(columns)}")
+            else:
+                row = dict(zip(columns, cells, strict=True))
+            yield TableRow(binary.tell() / max(size, 1), line, row)
+
+    yield columns, rows()
+
+
+def _split(name: str, line: int, raw: bytes, delimiter: str) -> list[str] | RowError:
+    """Split a line into its cells. Raises `TableFileError` where it is not UTF-8."""
+    if line == 1 and raw.startswith(_UTF_16):
+        raise TableFileError(f"{name}: in UTF-16; expected CSV in UTF-8")
     try:
-        reader = csv.reader(lines(), delimiter=delimiter)
-        header = next((cells for cells in reader if any(cell.strip() for cell in cells)), None)
-        if header is None:
-            raise TableFileError(f"{name}: line 1: empty file; expected a header line")
-        if columns_max is not None and len(header) > columns_max:
-            raise TableFileError(
-                f"{name}: line {reader.line_num}: {len(header)} columns; expected at most "
-                f"{columns_max}: one row for each entry, not one column"
-            )
-        columns = [cell.strip() for cell in header]
+        text = raw.decode("utf-8-sig" if line == 1 else "utf-8").rstrip("\r\n")
+    except UnicodeDecodeError as error:
+        byte = raw[error.start]
+        raise TableFileError(
+            f"{name}: line {line}: not CSV in UTF-8 (byte 0x{byte:02x} at {error.start + 1})"
+        ) from error
+    try:
+        return next(csv.reader((text,), delimiter=delimiter, strict=True), [])
+    except csv.Error as error:
+        if "unexpected end of data" in str(error):
+            return RowError("a quotation mark that is not closed in its line; expected it closed")
+        return RowError(f"not CSV ({error})")
 
-        def rows() -> Iterator[TableRow]:
-            read = 0
-            for cells in reader:
-                read += len(cells)
-                if cells_max is not None and read > cells_max:
-                    raise TableFileError(
-                        f"{name}: line {reader.line_num}: more than {cells_max} cells up to here; "
-                        "expected a file in parts"
-                    )
-                if not any(cell.strip() for cell in cells):
-                    continue
-                row: Mapping[str, object] | RowError = dict(zip(columns, cells, strict=False))
-                if len(cells) != len(columns):
-                    row = RowError(f"{len(cells)} cells; expected {len(columns)}")
-                yield TableRow(binary.tell() / max(size, 1), reader.line_num, row)
 
-        yield columns, rows()
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise TableFileError(f"{name}: not CSV in UTF-8 ({error})") from error
+def _is_empty(cells: list[str] | RowError) -> bool:
+    return not isinstance(cells, RowError) and not any(cell.strip() for cell in cells)
 
 
 @contextmanager
@@ -103,19 +162,30 @@ def _parquet(path: Path) -> Iterator[tuple[list[str], Iterator[TableRow]]]:
     try:
         file = parquet.ParquetFile(path)
     except OSError as error:
-        raise TableFileError(f"{path}: cannot be read ({error.strerror or error})") from error
-    except pa.ArrowInvalid as error:
-        raise TableFileError(f"{path.name}: not a Parquet file ({error})") from error
+        raise TableFileError(
+            f"{path}: cannot be read ({error.strerror or _one_line(error)})"
+        ) from error
+    except pa.ArrowException as error:
+        raise TableFileError(f"{path.name}: not a Parquet file ({_one_line(error)})") from error
     with file:
         total = max(file.metadata.num_rows, 1)
 
         def rows() -> Iterator[TableRow]:
             line = 1
-            for batch in file.iter_batches():
-                columns = {
-                    name: _plain(pa, column)
-                    for name, column in zip(batch.schema.names, batch.columns, strict=True)
-                }
+            batches = file.iter_batches()
+            while True:
+                try:
+                    batch = next(batches, None)
+                    if batch is None:
+                        return
+                    columns = {
+                        name: _plain(pa, column)
+                        for name, column in zip(batch.schema.names, batch.columns, strict=True)
+                    }
+                except (pa.ArrowException, OSError, ValueError, OverflowError) as error:
+                    raise TableFileError(
+                        f"{path.name}: damaged Parquet file, after row {line} ({_one_line(error)})"
+                    ) from error
                 for at in range(batch.num_rows):
                     line += 1
                     cells = {name: column[at] for name, column in columns.items()}
@@ -128,9 +198,17 @@ def _plain(pa: Any, column: Any) -> list[object]:
     if pa.types.is_timestamp(column.type):
         if column.type.tz is None:
             # Without a zone no one knows what time it was: such cells are refused row by row.
-            return [str(cell) for cell in column.to_pylist()]
-        return list(column.cast(pa.timestamp("us", tz="UTC")).cast(pa.int64()).to_pylist())
+            return list(column.cast(pa.string()).to_pylist())
+        per_unit, per_us = _OF_UNIT[column.type.unit]
+        return [
+            None if count is None else TimeStamp(count * per_unit // per_us)
+            for count in column.cast(pa.int64()).to_pylist()
+        ]
     return list(column.to_pylist())
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())
 
 
 def load_pyarrow() -> tuple[Any, Any]:

@@ -101,6 +101,11 @@ class ProcessClock:
         return clock
 
     @classmethod
+    def of(cls, data_dir: Path) -> "ProcessClock":
+        """Tell the time that the service with this data directory is in, also while it is off."""
+        return cls._read(data_dir / _ANCHOR_FILE) or cls()
+
+    @classmethod
     def _read(cls, path: Path) -> "ProcessClock | None":
         """Read a kept anchor; None where there is none that makes sense."""
         try:

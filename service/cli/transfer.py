@@ -70,7 +70,7 @@ def import_(
             mapping=mapping,
             start_us=start_us,
             own_channels=channels,
-            now_us=ProcessClock().now_us(),
+            now_us=ProcessClock.of(settings.data_dir).now_us(),
             progress=lambda share: show(share, ""),
         )
     if as_json:

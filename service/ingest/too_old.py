@@ -7,6 +7,7 @@ from collections.abc import Collection
 import structlog
 
 from adapters.samples import Sample
+from adapters.times import EARLIEST_US, POSSIBLE
 from service.clock import rfc3339
 
 #: Wall seconds for which such a sample is worth an alarm, and between two log lines.
@@ -31,13 +32,11 @@ class TooOld:
         with self._lock:
             self._count += len(samples)
             for one in {sample.asset: sample for sample in samples}.values():
-                self._seen[one.asset] = (
-                    now_s,
-                    (
-                        f"Samples of {rfc3339(one.time_us)} are not stored: history before "
-                        f"{rfc3339(kept_from_us)} has been removed. Check the clock"
-                    ),
-                )
+                why = f"history before {rfc3339(kept_from_us)} has been removed"
+                if one.time_us < EARLIEST_US:
+                    why = f"expected {POSSIBLE}"
+                text = f"Samples of {rfc3339(one.time_us)} are not stored: {why}. Check the clock"
+                self._seen[one.asset] = now_s, text
             if now_s < self._logged_at_s + _LOG_EVERY_S:
                 return
             self._logged_at_s = now_s

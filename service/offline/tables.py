@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.configuration import first_repeated
+from adapters.tables import number_of
 from service.clock import from_rfc3339
 from service.domain.channels import NODES, OPERATING_CHANNELS, RING_SENSORS
 from service.domain.errors import BearingTwinError
@@ -245,7 +246,7 @@ class _Table:
         self.name = name
         self.lines: list[int] = []
         self.start_us = 0
-        self._reader = csv.reader(file)
+        self._reader = csv.reader(file, strict=True)
         header = self._next()
         while header is not None and not any(cell.strip() for cell in header):
             header = self._next()
@@ -321,7 +322,7 @@ class _Table:
                 numbers.append(math.nan)
                 continue
             try:
-                value = float(text)
+                value = number_of(text)
             except ValueError:
                 value = math.nan
             if not math.isfinite(value):
@@ -344,7 +345,16 @@ class _Table:
             )
 
     def _next(self) -> list[str] | None:
+        line = self._reader.line_num + 1
         try:
-            return next(self._reader, None)
+            cells = next(self._reader, None)
         except csv.Error as error:
-            raise self.error(self._reader.line_num, f"not CSV ({error})") from error
+            # An open quotation mark is found at the end of the file only.
+            text = "not closed" if self._reader.line_num > line else f"not CSV ({error})"
+        else:
+            if cells is None or self._reader.line_num == line:
+                return cells
+            text = "not closed"
+        if text == "not closed":
+            text = "a quotation mark that is not closed in its line; expected it closed"
+        raise self.error(line, text)

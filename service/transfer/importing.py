@@ -1,6 +1,8 @@
 """Files into the store: CSV, Parquet, MDF; every bad row named, sending again does no harm."""
 
 import math
+import re
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -8,12 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from adapters.samples import Quality, Sample
-from adapters.tables import RowError, open_table
-from service.clock import from_rfc3339, rfc3339_exact
+from adapters.tables import RowError, TableRow, number_of, open_table
+from adapters.times import POSSIBLE, is_possible
+from service.clock import rfc3339_exact
 from service.store import Store
 from service.transfer import mdf
 from service.transfer.errors import TransferError
-from service.transfer.mapping import Layout, layout_of, read_mapping, time_reader
+from service.transfer.mapping import Layout, layout_of, moment_us, read_mapping, shown, time_reader
 
 BATCH_SAMPLES = 20_000
 #: This many bad rows are reported one by one; all are counted.
@@ -21,6 +24,7 @@ REJECTED_LISTED = 100
 
 # What no machine shows: sentinels and shifted columns must not pass as measurements.
 _RANGES = {"_c": (-100.0, 500.0), "_rpm": (-1e5, 1e5), "_n": (-1e3, 1e7)}
+_DECIMAL_COMMA = re.compile(r"\s*[+-]?\d+,\d+\s*", re.ASCII)
 
 Row = Mapping[str, object]
 Progress = Callable[[float], None]
@@ -82,11 +86,15 @@ def import_file(
     - ``store``: where they go; None only reads, as a dry run.
     - ``start_us``: what a column of seconds counts from, UTC microseconds; of an MDF file the time
       of 0 s.
-    - ``now_us``: received time of the samples of which the file does not say it, UTC microseconds.
+    - ``now_us``: process time in UTC microseconds: received time of the samples of which the file
+      does not say it, and no sample can be from the day after tomorrow.
     """
     plan = None if mapping is None else read_mapping(mapping)
     report = ImportReport()
     if mdf.is_mdf(path):
+        if store is not None:
+            with mdf.open_mdf(path, plan, own_channels, start_us) as found:
+                deque(found, maxlen=0)  # a channel that stops the import stops it before the first
         with mdf.open_mdf(path, plan, own_channels, start_us) as found:
             for one in found:
                 _take_channel(one, asset, store, now_us, report)
@@ -97,14 +105,18 @@ def import_file(
     delimiter = "," if plan is None else plan.delimiter
     with open_table(path, delimiter) as (columns, rows):
         layout = layout_of(path.name, columns, plan, own_channels)
-        if layout.seconds and start_us is None:
+        if layout.unit is not None and start_us is None:
             raise TransferError(
-                f"{path.name}: {layout.time} counts seconds; expected --start with the time of 0 s"
+                f"{path.name}: {layout.time} counts from a time that the file does not say; "
+                f"expected --start with the time of 0 {layout.unit}"
             )
+        _check_whole(path.name, layout, rows)
+    time_us_of = time_reader(layout, start_us)
+    with open_table(path, delimiter) as (_, rows):
         batch: list[_Numbered] = []
         for read, line, row in rows:
             report.rows += 1
-            for sample in _samples(row, line, layout, asset, start_us, now_us, report):
+            for sample in _samples(row, line, layout, asset, time_us_of, now_us, report):
                 batch.append((line, sample))
             if len(batch) >= BATCH_SAMPLES:
                 _store(store, batch, report)
@@ -117,6 +129,25 @@ def import_file(
     return report
 
 
+def _check_whole(name: str, layout: Layout, rows: Iterator[TableRow]) -> None:
+    """Read a file to its end before anything of it is stored: it may be damaged further on.
+
+    Raises `TableFileError` then, and `TransferError` where its numbers have a decimal comma and no
+    mapping says so: their columns would be missing beside those of whole numbers.
+    """
+    columns = [source.column for source in layout.channels.values()] or ["value"]
+    for _, line, row in rows:
+        if layout.decimal == "," or isinstance(row, RowError):
+            continue
+        for column in columns:
+            cell = row[column]
+            if isinstance(cell, str) and "," in cell and _DECIMAL_COMMA.fullmatch(cell):
+                raise TransferError(
+                    f"{name}: line {line}: {column} = {shown(cell)}: a decimal comma; expected a "
+                    'mapping with decimal = ","'
+                )
+
+
 def _take_channel(
     one: mdf.MdfChannel, asset: str, store: Store | None, now_us: int, report: ImportReport
 ) -> None:
@@ -126,8 +157,8 @@ def _take_channel(
     for number, (time_us, value, quality) in enumerate(rows, 1):
         report.rows += 1
         try:
-            if not 0 <= time_us < 2**62:
-                raise RowError(f"{one.channel}: expected a time after 1970")
+            if not is_possible(time_us, now_us):
+                raise _impossible(one.channel, time_us)
             if not math.isnan(value):
                 _check_range(one.channel, value)
         except RowError as error:
@@ -193,16 +224,16 @@ def _samples(
     line: int,
     layout: Layout,
     asset: str,
-    start_us: int | None,
+    time_us_of: Callable[[object], int],
     now_us: int,
     report: ImportReport,
 ) -> Iterator[Sample]:
     try:
         if isinstance(row, RowError):
             raise row
-        time_us = time_reader(layout, start_us)(row[layout.time])
-        if not 0 <= time_us < 2**62:
-            raise RowError(f"{layout.time}: {row[layout.time]!r}: expected a time after 1970")
+        time_us = time_us_of(row[layout.time])
+        if not is_possible(time_us, now_us):
+            raise _impossible(layout.time, time_us)
         if not layout.channels:
             yield _long(row, asset, time_us, now_us)
             return
@@ -211,7 +242,7 @@ def _samples(
         return
     for channel, source in layout.channels.items():
         try:
-            value = _number(source.column, row[source.column])
+            value = _number(source.column, row[source.column], layout.decimal)
             if value is None:
                 continue
             value = value * source.scale + source.offset
@@ -244,28 +275,33 @@ def _received_us(cell: object, now_us: int) -> int:
     """When a sample was received; where the cell is empty: now."""
     if cell is None or (isinstance(cell, str) and not cell.strip()):
         return now_us
-    try:
-        # A Parquet time stamp is a whole number.
-        received_us = cell if isinstance(cell, int) else from_rfc3339(str(cell).strip())
-    except ValueError as error:
-        raise RowError(f"received: {error}") from None
-    if not 0 <= received_us < 2**62:
-        raise RowError(f"received: {cell!r}: expected a time after 1970")
+    received_us = moment_us("received", cell)
+    if not is_possible(received_us, now_us):
+        raise _impossible("received", received_us)
     return received_us
 
 
-def _number(column: str, cell: object) -> float | None:
+def _impossible(name: str, time_us: int) -> RowError:
+    """Make the error of a time that no sample can have."""
+    try:
+        text = rfc3339_exact(time_us)
+    except OverflowError:
+        text = f"{time_us} microseconds after 1970"
+    return RowError(f"{name}: {text}: expected {POSSIBLE}")
+
+
+def _number(column: str, cell: object, decimal: str = ".") -> float | None:
     """Value of a cell; None where it is empty."""
     if cell is None or (isinstance(cell, str) and not cell.strip()):
         return None
-    try:
-        value = float(str(cell))
-    except ValueError:
-        value = math.nan
     if isinstance(cell, float) and math.isnan(cell):
         return None  # how data frames write an empty cell
+    try:
+        value = number_of(str(cell), decimal if isinstance(cell, str) else ".")
+    except ValueError:
+        value = math.nan
     if not math.isfinite(value):
-        raise RowError(f"{column} = {cell!r}: expected a number or an empty cell")
+        raise RowError(f"{column} = {shown(cell)}: expected a number or an empty cell")
     return value
 
 

@@ -3,12 +3,14 @@
 import tomllib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from pathlib import Path
+from typing import Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from adapters.configuration import first_repeated
-from adapters.tables import RowError
+from adapters.tables import RowError, TimeStamp, number_of
 from service.clock import from_rfc3339
 from service.domain.channels import NODES, OPERATING_CHANNELS, RING_SENSORS
 from service.site.configuration import describe
@@ -16,6 +18,14 @@ from service.transfer.errors import TransferError
 
 REQUIRED = OPERATING_CHANNELS + RING_SENSORS
 _LONG = ("channel", "value")
+_US_OF = {
+    "s": Fraction(1_000_000),
+    "ms": Fraction(1000),
+    "us": Fraction(1),
+    "ns": Fraction(1, 1000),
+}
+#: No time and no number of a machine is longer.
+_SHOWN_CHARACTERS = 60
 _HEADER = f"time or time_s, {', '.join(REQUIRED)} and {NODES[0]} to {NODES[-1]}"
 
 
@@ -24,10 +34,20 @@ class _Model(BaseModel):
 
 
 class TimeColumn(_Model):
-    """The column with the times: RFC 3339, or seconds counted from a given start."""
+    """The column with the times: RFC 3339 or time stamps, or a count from a given start.
+
+    ``unit``: of the count; ``seconds = true`` is the same as ``unit = "s"``.
+    """
 
     column: str
     seconds: bool = False
+    unit: Literal["s", "ms", "us", "ns"] | None = None
+
+    @model_validator(mode="after")
+    def _one_unit(self) -> Self:
+        if self.seconds and self.unit not in (None, "s"):
+            raise ValueError(f"unit = {self.unit!r}: expected no unit beside seconds = true")
+        return self
 
 
 class ChannelColumn(_Model):
@@ -48,11 +68,13 @@ class Mapping(_Model):
     """A mapping file.
 
     ``time``: the column with the times; None for an MDF file, where each channel has its own.
+    ``decimal``: what stands before the fraction of a number that is written as text.
     """
 
     time: TimeColumn | None = None
     channels: dict[str, ChannelColumn] = Field(min_length=1)
     delimiter: str = Field(",", min_length=1, max_length=1)
+    decimal: Literal[".", ","] = "."
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,14 +82,17 @@ class Layout:
     """How the rows of one file are read.
 
     - ``time``: column with the times.
-    - ``seconds``: whether these are seconds from a start that the user gives.
+    - ``unit``: of which they are a count from a start that the user gives; None where the cells
+      say which times they are.
     - ``channels``: columns by channel; empty for a file with one sample per row (``time, channel,
       value`` and perhaps ``quality`` and ``received``).
+    - ``decimal``: what stands before the fraction of a number.
     """
 
     time: str
-    seconds: bool
+    unit: str | None
     channels: dict[str, ChannelColumn]
+    decimal: str = "."
 
 
 def read_mapping(path: Path) -> Mapping:
@@ -115,12 +140,13 @@ def layout_of(
         for name in wanted:
             if name not in columns:
                 raise wrong(f"missing column {name!r}; the mapping names {', '.join(wanted)}")
-        return Layout(mapping.time.column, mapping.time.seconds, dict(mapping.channels))
+        unit = "s" if mapping.time.seconds else mapping.time.unit
+        return Layout(mapping.time.column, unit, dict(mapping.channels), mapping.decimal)
     times = [name for name in ("time", "time_s") if name in columns]
     if len(times) != 1:
         found = "both time and time_s" if times else "missing column time or time_s"
         raise wrong(f"{found}; expected one of the two, then {_HEADER}")
-    layout = Layout(times[0], times[0] == "time_s", {})
+    layout = Layout(times[0], "s" if times[0] == "time_s" else None, {})
     if all(name in columns for name in _LONG):
         for name in columns:
             if name not in (*times, *_LONG, "quality", "received"):
@@ -145,17 +171,42 @@ def layout_of(
 
 def time_reader(layout: Layout, start_us: int | None) -> Callable[[object], int]:
     """Make the function that turns a cell of the time column into UTC microseconds."""
+    if layout.unit is None:
+        return lambda cell: moment_us(layout.time, cell)
+    per_unit = _US_OF[layout.unit]
 
-    def read(cell: object) -> int:
-        if isinstance(cell, int) and not isinstance(cell, bool) and not layout.seconds:
-            return cell  # a Parquet time stamp
+    def counted(cell: object) -> int:
+        assert start_us is not None  # noqa: S101 - asked for before the first row
         try:
-            if not layout.seconds:
-                return from_rfc3339(str(cell).strip())
-            assert start_us is not None  # noqa: S101 - asked for before the first row
-            return start_us + round(float(str(cell)) * 1e6)
-        except (ValueError, OverflowError) as error:
-            text = str(error) if not layout.seconds else f"{cell!r}: expected seconds"
-            raise RowError(f"{layout.time}: {text}") from None
+            if isinstance(cell, int) and not isinstance(cell, bool | TimeStamp):
+                return start_us + round(cell * per_unit)
+            return start_us + round(number_of(str(cell), layout.decimal) * float(per_unit))
+        except (ValueError, OverflowError):
+            raise RowError(
+                f"{layout.time}: {shown(cell)}: expected a number, in {layout.unit} from --start"
+            ) from None
 
-    return read
+    return counted
+
+
+def moment_us(column: str, cell: object) -> int:
+    """UTC microseconds of a cell that says which time it is. Raises `RowError` where none does."""
+    if isinstance(cell, TimeStamp):
+        return int(cell)
+    if cell is None:
+        raise RowError(f"{column} is empty; expected a time")
+    if not isinstance(cell, str):
+        raise RowError(
+            f"{column} = {shown(cell)}: expected a time stamp with a time zone, or a mapping with "
+            "the unit of this number"
+        )
+    try:
+        return from_rfc3339(cell.strip()[:_SHOWN_CHARACTERS])
+    except ValueError as error:
+        raise RowError(f"{column}: {error}") from None
+
+
+def shown(cell: object) -> str:
+    """Give a cell that is wrong for a message, not at any length."""
+    text = repr(cell[:_SHOWN_CHARACTERS] if isinstance(cell, str) else cell)
+    return text if len(text) <= 2 * _SHOWN_CHARACTERS else f"{text[:_SHOWN_CHARACTERS]}…"

@@ -30,6 +30,24 @@ SUFFIX: Final = ".mf4"
 PAGE_ROWS = 20_000
 _QUALITY = ".quality"
 _SECOND_US = 1_000_000
+#: 30,000 years: further from a start than any time that can be.
+_BEYOND_US: Final = 1e18
+# The kinds of axis of MDF 4, and the units of one of times; the standard has seconds.
+_TIME: Final = "time"
+_AXES: Final = {1: _TIME, 2: "angle", 3: "distance", 4: "index"}
+_REMOTE_MASTER: Final = 8
+#: Microseconds in a unit; a sign for micro comes in two forms.
+_UNITS_US: Final = {
+    "": 1e6,
+    "s": 1e6,
+    "ms": 1e3,
+    "us": 1.0,
+    "\N{MICRO SIGN}s": 1.0,
+    "\N{GREEK SMALL LETTER MU}s": 1.0,
+    "ns": 1e-3,
+    "min": 6e7,
+    "h": 3.6e9,
+}
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _COMPRESSED = 2
 """Transposed and deflated: what slow temperatures shrink most by."""
@@ -344,11 +362,54 @@ def _channels(
                     samples_only=True,
                     ignore_invalidation_bits=True,
                 )[0]
-        yield _as_samples(file, one, signal, quality, start_us, number / len(chosen))
+            unit_us = _unit_of_times_us(file, one, mdf)
+        time_us = start_us + _microseconds(signal.timestamps, unit_us)
+        yield _as_samples(file, one, signal, quality, time_us, number / len(chosen))
+
+
+def _unit_of_times_us(file: str, one: _Chosen, mdf: Any) -> float:
+    """Microseconds in one unit of a channel's time axis.
+
+    Raises `TransferError` where its group has none: asammdf then counts the records, or gives the
+    angle or distance along which they were taken.
+    """
+    group, number = mdf.groups[one.group], one.group
+    if mdf.version >= "4" and group.channel_group.flags & _REMOTE_MASTER:
+        number = group.channel_group.cg_master_index
+    index = mdf.masters_db.get(number)
+    if index is None:
+        raise TransferError(
+            f"{file}: channel {one.source.column!r} is in group {one.group}, which has no time "
+            "axis (no master channel); expected one"
+        )
+    if mdf.version < "4":
+        return _SECOND_US  # of these files every axis is one of seconds
+    master = mdf.groups[number].channels[index]
+    kind = _AXES.get(master.sync_type, "no time")
+    unit = str((master.conversion and master.conversion.unit) or master.unit or "")
+    unit_us = _UNITS_US.get(unit.strip())
+    if kind != _TIME or unit_us is None:
+        said = f"{kind} in {unit!r}" if unit else kind
+        raise TransferError(
+            f"{file}: channel {one.source.column!r} is in group {one.group}, whose axis is "
+            f"{master.name!r} ({said}); expected a time axis, in s, ms, us, ns, min or h"
+        )
+    return unit_us
+
+
+def _microseconds(timestamps: Any, unit_us: float) -> NDArray[np.int64]:
+    """Count of microseconds; where there is no number, or none that fits, one of no time."""
+    counts = np.nan_to_num(np.asarray(timestamps, np.float64) * unit_us, nan=-_BEYOND_US)
+    return np.rint(np.clip(counts, -_BEYOND_US, _BEYOND_US)).astype(np.int64)
 
 
 def _as_samples(
-    file: str, one: _Chosen, signal: Any, quality: Any, start_us: int, read: float
+    file: str,
+    one: _Chosen,
+    signal: Any,
+    quality: Any,
+    time_us: NDArray[np.int64],
+    read: float,
 ) -> MdfChannel:
     samples = np.asarray(signal.samples)
     if samples.ndim != 1 or samples.dtype.kind not in "fiub":
@@ -369,7 +430,6 @@ def _as_samples(
         judged = np.where(unsaid, int(Quality.BAD), judged)
         kept = np.ones(values.size, bool)
     values[invalid] = np.nan
-    time_us = start_us + np.rint(np.asarray(signal.timestamps) * _SECOND_US).astype(np.int64)
     return MdfChannel(one.channel, time_us[kept], values[kept], judged[kept], read)
 
 

@@ -2,8 +2,13 @@
 
 import asyncio
 import struct
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 from typing import Any
+from unittest.mock import AsyncMock
 
 import can
 import pyarrow as pa
@@ -11,7 +16,7 @@ import pyarrow.parquet as parquet
 import pytest
 
 from adapters.configuration import ConfigurationError
-from adapters.protocol import ChannelBinding
+from adapters.protocol import ChannelBinding, SourceHealth
 from adapters.registry import driver_spec
 from adapters.samples import Quality, Sample
 
@@ -38,6 +43,12 @@ class Clock:
 async def play(
     path: Path, channels: dict[str, dict[str, Any]], count: int, **keys: Any
 ) -> list[Sample]:
+    return (await watched(path, channels, count, **keys))[0]
+
+
+async def watched(
+    path: Path, channels: dict[str, dict[str, Any]], count: int, **keys: Any
+) -> tuple[list[Sample], SourceHealth]:
     spec = driver_spec("replay")
     source = spec.source_model.model_validate({"name": "old", "file": path, **keys})
     bindings = [
@@ -50,7 +61,7 @@ async def play(
             samples += batch.samples
             if len(samples) >= count:
                 assert driver.health().up
-                return samples
+                return samples, replace(driver.health())
     raise AssertionError("a driver ends only when cancelled")
 
 
@@ -105,7 +116,7 @@ async def test_as_fast_as_possible_keeps_the_times_of_the_file(tmp_path: Path) -
 async def test_an_exported_table_brings_its_qualities(tmp_path: Path) -> None:
     path = tmp_path / "run.parquet"
     columns = {
-        "time": pa.array([0, 1_000_000, 2_000_000], pa.timestamp("us", tz="UTC")),
+        "time": pa.array([k + 1_800_000_000 for k in range(3)], pa.timestamp("s", tz="UTC")),
         "channel": ["load_n", "other", "load_n"],
         "value": [2650.0, 1.0, None],
         "quality": pa.array([216, 192, 24], pa.uint8()),
@@ -153,3 +164,109 @@ async def test_what_cannot_be_played_is_named(
     table(tmp_path, "time_s,x\n1,2\n")
     with pytest.raises((ValueError, ConfigurationError), match=complaint.replace("'", ".")):
         await play(tmp_path / name, {"load_n": channel}, 1, **keys)
+
+
+async def test_rows_that_cannot_be_played_are_left_out_and_told(tmp_path: Path) -> None:
+    rows = ["1969-07-20T20:17:40Z,1", "2026-03-01T12:00:00Z,2", "2026-03-01T12:00:00,3"]
+    rows += ["soon,4", "2026-03-01T12:00:01Z", "3026-03-01T12:00:00Z,5", "2026-03-01T12:00:02Z,6"]
+    for speed in (0.0, 1.0):
+        samples, health = await watched(
+            table(tmp_path, "\n".join(["time,x", *rows])),
+            {"load_n": {"column": "x"}},
+            2,
+            speed=speed,
+        )
+        assert [one.value for one in samples] == [2.0, 6.0]
+        assert health.errors == {"row": 5}
+        assert "5 rows left out, the latest: " in health.detail
+        assert "expected a time from 1990 to tomorrow" in health.detail
+
+
+async def test_a_parquet_column_of_numbers_is_no_column_of_times(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "run.parquet"
+    parquet.write_table(pa.table({"time": [1_800_000_000, 1_800_000_001], "x": [1.0, 2.0]}), path)
+    monkeypatch.setattr(asyncio.Event, "wait", AsyncMock())
+    with pytest.raises(AssertionError, match="a driver ends only when cancelled"):
+        await play(path, {"load_n": {"column": "x"}}, 1, speed=0.0)
+
+
+@pytest.fixture
+def berlin(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.setenv("TZ", "Europe/Berlin")
+    time.tzset()
+    yield
+    monkeypatch.undo()
+    time.tzset()
+
+
+def asc(tmp_path: Path, date: str, *seconds: float, kind: str = "absolute") -> Path:
+    path = tmp_path / "run.asc"
+    lines = [f"date {date}"] if date else []
+    lines += [f"base hex  timestamps {kind}", "internal events logged"]
+    lines += [
+        f"   {second:.6f} 1  100             Rx   d 8 40 1F 00 00 00 00 00 00" for second in seconds
+    ]
+    path.write_bytes(("\n".join(lines) + "\n").encode("cp1252"))
+    return path
+
+
+SPEED = {"speed_rpm": {"message": "DriveStatus", "signal": "Speed"}}
+
+
+@pytest.mark.usefixtures("berlin")
+@pytest.mark.parametrize("date", ["Fri Mar 20 08:00:00.000 2026", "Fre Mär 20 08:00:00 2026"])
+async def test_the_date_of_a_can_log_counts_where_its_times_do(tmp_path: Path, date: str) -> None:
+    samples = await play(asc(tmp_path, date, 1.5, 2.5), SPEED, 2, dbc=DBC, speed=0)
+    noted_us = [datetime.fromisoformat("2026-03-20T08:00:00+01:00").timestamp() * 1e6 + 1_500_000]
+    assert [one.time_us for one in samples] == [noted_us[0], noted_us[0] + 1_000_000]
+
+
+async def test_a_can_log_without_a_date_is_played_by_its_distances(tmp_path: Path) -> None:
+    path = asc(tmp_path, "", 1.5, 1_800_000_000.0, 2.5)
+    samples, health = await watched(path, SPEED, 2, dbc=DBC)
+    assert [one.time_us - START_US for one in samples] == [0, 1_000_000]
+    assert health.errors == {"row": 1}
+    with pytest.raises(ConfigurationError, match="which has no date; expected a date at the begin"):
+        await play(path, SPEED, 1, dbc=DBC, speed=0)
+
+
+async def test_a_table_of_seconds_has_no_date(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match="has no date; expected a column time, or a speed"):
+        await play(table(tmp_path, "time_s,x\n1,2\n"), {"load_n": {"column": "x"}}, 1, speed=0)
+
+
+@pytest.mark.parametrize(
+    ("date", "kind", "complaint"),
+    [
+        ("Fri Mar 20 08:00:00.000 2026", "relative", "times count from frame to frame"),
+        ("Fri Mar 32 08:00:00.000 2026", "absolute", "Incompatible datetime string"),
+    ],
+)
+async def test_a_can_log_that_cannot_be_read_is_one_line(
+    tmp_path: Path, date: str, kind: str, complaint: str
+) -> None:
+    with pytest.raises(ConfigurationError, match=complaint) as refused:
+        await play(asc(tmp_path, date, 1.0, kind=kind), SPEED, 1, dbc=DBC)
+    assert "\n" not in str(refused.value)
+
+
+async def test_a_file_that_is_damaged_further_on_has_ended_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = table(tmp_path, "time,x\n2026-03-01T12:00:00Z,1\n2026-03-01T12:00:01Z,2\n")
+    path.write_bytes(path.read_bytes() + b"2026-03-01T12:00:02Z,\xff\n")
+    spec = driver_spec("replay")
+    source = spec.source_model.model_validate({"name": "old", "file": path})
+    config = spec.channel_model.model_validate({"source": "old", "column": "x"})
+    samples = []
+    # The driver waits without end then; here it returns at once.
+    monkeypatch.setattr(asyncio.Event, "wait", AsyncMock())
+    async with spec.create(source, [ChannelBinding("a", "load_n", config)], [], Clock()) as driver:
+        async for batch in driver.batches():
+            samples += batch.samples
+        assert not driver.health().up
+        assert driver.health().errors == {"file": 1}
+        assert "line 4: not CSV in UTF-8 (byte 0xff at 22)" in driver.health().detail
+    assert [one.value for one in samples] == [1.0, 2.0]

@@ -2,20 +2,25 @@
 
 import asyncio
 import logging
-import math
 from collections.abc import AsyncIterator, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 from adapters.configuration import ConfigurationError, suggestion
 from adapters.drivers.can.binding import bind
 from adapters.drivers.can.config import CanChannel, CanSource
+from adapters.drivers.replay.can_logs import open_log
 from adapters.drivers.replay.config import ReplayChannel, ReplaySource
 from adapters.drivers.replay.tables import open_recording
 from adapters.protocol import ChannelBinding, Clock, PlanBinding, SourceHealth
 from adapters.samples import Batch, Quality, Sample, is_good
+from adapters.tables import RowError
+from adapters.times import EARLIEST_US, POSSIBLE, is_possible
+
+if TYPE_CHECKING:
+    import can
 
 logger = logging.getLogger(__name__)
 
@@ -25,6 +30,7 @@ FAST_PAUSE_WALL_S = 0.05
 REPEAT_PAUSE_S = 1.0  # process seconds between the end and the next beginning
 
 Event = tuple[int, list[Sample]]
+Found = Event | RowError
 
 
 class ReplayDriver:
@@ -42,6 +48,7 @@ class ReplayDriver:
         self._channels = list(channels)
         self._clock = clock
         self._health = SourceHealth(source.name, "replay")
+        self._left_out = 0
 
     @property
     def name(self) -> str:
@@ -66,26 +73,54 @@ class ReplayDriver:
     async def batches(self) -> AsyncIterator[Batch]:
         """Yield what is due; when the file has ended, wait without end or begin again."""
         self._health.up, self._health.detail = True, "ok"
+        ended = "the file has ended"
         while True:
-            async for batch in self._once():
-                self._health.samples += len(batch.samples)
-                self._health.polls += 1
-                good = [one.time_us for one in batch.samples if is_good(one.quality)]
-                self._health.last_good_us = max(good, default=self._health.last_good_us)
-                yield batch
+            try:
+                async for batch in self._once():
+                    self._health.samples += len(batch.samples)
+                    self._health.polls += 1
+                    good = [one.time_us for one in batch.samples if is_good(one.quality)]
+                    self._health.last_good_us = max(good, default=self._health.last_good_us)
+                    yield batch
+            except ConfigurationError as error:  # played again it would end there again
+                self._health.count_error("file")
+                ended = str(error)
+                break
             if not self._source.repeat:
                 break
             await self._clock.sleep(REPEAT_PAUSE_S)
-        logger.info("source %s: %s has ended", self.name, self._source.file)
-        self._health.up, self._health.detail = False, "the file has ended"
+        logger.info("source %s: %s has ended: %s", self.name, self._source.file, ended)
+        if self._left_out:
+            ended += f"; {self._health.detail}"
+        self._health.up, self._health.detail = False, ended
         await asyncio.Event().wait()
+
+    def _leave_out(self, error: RowError) -> None:
+        """Tell of a row that cannot be played."""
+        self._left_out += 1
+        self._health.count_error("row")
+        if self._left_out == 1:
+            logger.warning("source %s: left out: %s", self.name, error)
+        self._health.detail = f"{self._left_out} rows left out, the latest: {error}"
 
     async def _once(self) -> AsyncIterator[Batch]:
         speed = self._source.speed
         began_us, first_us = self._clock.now_us(), None
         waiting: list[Sample] = []
-        with _events(self._source, self._channels) as events:
-            for time_us, samples in events:
+        problem: ConfigurationError | None = None
+        with _events(self._source, self._channels, self._clock) as events:
+            while True:
+                try:
+                    event = next(events, None)
+                except ConfigurationError as error:  # what came before it is played
+                    problem = error
+                    break
+                if event is None:
+                    break
+                if isinstance(event, RowError):
+                    self._leave_out(event)
+                    continue
+                time_us, samples = event
                 if not samples:
                     continue
                 if speed == 0.0:
@@ -106,6 +141,8 @@ class ReplayDriver:
                 waiting += [one._replace(time_us=due_us, received_us=due_us) for one in samples]
         if waiting:
             yield Batch(waiting)
+        if problem is not None:
+            raise problem
 
 
 def check(
@@ -134,8 +171,15 @@ def check(
         ) from None
     if source.is_can_log:
         bind(*_as_can(source, channels))
+        with open_log(source.file) as frames:
+            first = next(frames, None)
+        if source.speed == 0.0 and first is not None and not _is_dated(first.timestamp):
+            raise _undated(source, "a date at the beginning of the log")
         return
-    with open_recording(source.file) as (columns, _):
+    with open_recording(source.file) as recording:
+        columns = recording.columns
+        if source.speed == 0.0 and not recording.is_dated:
+            raise _undated(source, "a column time")
         for binding in channels:
             column = _config(binding).column or ""
             if columns is not None and column not in columns:
@@ -145,26 +189,54 @@ def check(
                 )
 
 
+def _undated(source: ReplaySource, expected: str) -> ConfigurationError:
+    return ConfigurationError(
+        f"source {source.name!r}: speed = 0 keeps the times of {source.file.name!r}, which has no "
+        f"date; expected {expected}, or a speed above 0"
+    )
+
+
+def _is_dated(timestamp_s: float) -> bool:
+    return timestamp_s * 1e6 >= EARLIEST_US
+
+
 @contextmanager
-def _events(source: ReplaySource, channels: Sequence[ChannelBinding]) -> Iterator[Iterator[Event]]:
+def _events(
+    source: ReplaySource, channels: Sequence[ChannelBinding], clock: Clock
+) -> Iterator[Iterator[Found]]:
+    now_us = clock.now_us()
     if source.is_can_log:
-        yield _frames(source, channels)
+        with open_log(source.file) as log:
+            yield _frames(source, channels, log, now_us)
         return
     by_column: dict[str, list[ChannelBinding]] = {}
     for binding in channels:
         by_column.setdefault(_config(binding).column or "", []).append(binding)
-    with open_recording(source.file) as (_, rows):
-        yield (
-            (
-                time_us,
-                [
-                    _sample(binding, time_us, *cell)
-                    for column, cell in cells.items()
-                    for binding in by_column.get(column, ())
-                ],
-            )
-            for time_us, cells in rows
-        )
+    with open_recording(source.file) as recording:
+
+        def played() -> Iterator[Found]:
+            for row in recording.rows:
+                if isinstance(row, RowError):
+                    yield row
+                    continue
+                time_us, cells = row
+                if recording.is_dated and not is_possible(time_us, now_us):
+                    yield _impossible(time_us)
+                    continue
+                yield (
+                    time_us,
+                    [
+                        _sample(binding, time_us, *cell)
+                        for column, cell in cells.items()
+                        for binding in by_column.get(column, ())
+                    ],
+                )
+
+        yield played()
+
+
+def _impossible(time_us: int) -> RowError:
+    return RowError(f"time {time_us / 1e6:.3f} s after 1970: expected {POSSIBLE}")
 
 
 def _sample(binding: ChannelBinding, time_us: int, value: float, quality: int) -> Sample:
@@ -176,17 +248,27 @@ def _sample(binding: ChannelBinding, time_us: int, value: float, quality: int) -
     return Sample(binding.asset, binding.channel, time_us, value, quality, time_us)
 
 
-def _frames(source: ReplaySource, channels: Sequence[ChannelBinding]) -> Iterator[Event]:
-    import can
-
+def _frames(
+    source: ReplaySource,
+    channels: Sequence[ChannelBinding],
+    log: Iterator["can.Message"],
+    now_us: int,
+) -> Iterator[Found]:
     messages = bind(*_as_can(source, channels))
-    with can.LogReader(source.file) as log:
-        for frame in log:
-            message = messages.find(frame.arbitration_id, frame.is_extended_id)
-            usable = not (frame.is_error_frame or frame.is_remote_frame)
-            if message is not None and usable and math.isfinite(frame.timestamp):
-                time_us = round(frame.timestamp * 1e6)
-                yield time_us, message.receive(frame.arbitration_id, frame.data, time_us)
+    is_dated = None
+    for frame in log:
+        message = messages.find(frame.arbitration_id, frame.is_extended_id)
+        if message is None or frame.is_error_frame or frame.is_remote_frame:
+            continue
+        time_us = round(frame.timestamp * 1e6)
+        if is_dated is None:
+            is_dated = _is_dated(frame.timestamp)
+        # A log without a date is played by the distances of its frames; a date among them is none.
+        fits = is_possible(time_us, now_us) if is_dated else 0 <= time_us < EARLIEST_US
+        if not fits:
+            yield _impossible(time_us)
+            continue
+        yield time_us, message.receive(frame.arbitration_id, frame.data, time_us)
 
 
 def _as_can(

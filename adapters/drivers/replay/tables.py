@@ -3,28 +3,51 @@
 import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
 from adapters.configuration import ConfigurationError
 from adapters.samples import Quality
-from adapters.tables import RowError, TableFileError, TableRow, open_table
+from adapters.tables import (
+    RowError,
+    TableFileError,
+    TableRow,
+    TimeStamp,
+    number_of,
+    open_table,
+)
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_EXPECTED = {"time": "a time with an offset", "time_s": "seconds"}
+_SHOWN_CHARACTERS = 60
 
 Cells = Mapping[str, tuple[float, int]]
 """Value and quality by column; empty cells are not there."""
 
 
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """A recorded table.
+
+    - ``columns``: those with values; None for a table with one sample per row, which names them
+      itself.
+    - ``is_dated``: whether its times count from the epoch; else, those of ``time_s``, from zero.
+    - ``rows``: time in microseconds and cells; an error, with its line, where a row is broken.
+    """
+
+    columns: list[str] | None
+    is_dated: bool
+    rows: Iterator[tuple[int, Cells] | RowError]
+
+
 @contextmanager
-def open_recording(path: Path) -> Iterator[tuple[list[str] | None, Iterator[tuple[int, Cells]]]]:
+def open_recording(path: Path) -> Iterator[Recording]:
     """Open a recorded table.
 
-    Yields the columns with values (None for a table with one sample per row, which names them
-    itself), and the rows: time in microseconds (of the epoch, or from zero for ``time_s``) and
-    cells. A row whose time cannot be read, or which is broken, is left out. Raises
-    `ConfigurationError` if the file cannot be read or has no column of times.
+    Raises `ConfigurationError` if the file cannot be read, also in the middle of it, or has no
+    column of times.
     """
     try:
         with open_table(path) as (names, rows):
@@ -33,9 +56,7 @@ def open_recording(path: Path) -> Iterator[tuple[list[str] | None, Iterator[tupl
         raise ConfigurationError(f"file {str(path)!r}: {error}") from None
 
 
-def _timed(
-    path: Path, names: list[str], rows: Iterator[TableRow]
-) -> tuple[list[str] | None, Iterator[tuple[int, Cells]]]:
+def _timed(path: Path, names: list[str], rows: Iterator[TableRow]) -> Recording:
     clocks = [name for name in ("time", "time_s") if name in names]
     if len(clocks) != 1:
         raise ConfigurationError(
@@ -46,25 +67,37 @@ def _timed(
     is_long = "channel" in names and "value" in names
     read = _sample if is_long else _cells
 
-    def timed() -> Iterator[tuple[int, Cells]]:
-        for row in rows:
+    def whole() -> Iterator[TableRow]:
+        try:
+            yield from rows
+        except TableFileError as error:
+            raise ConfigurationError(f"file {str(path)!r}: {error}") from None
+
+    def timed() -> Iterator[tuple[int, Cells] | RowError]:
+        for row in whole():
             if isinstance(row.cells, RowError):
+                yield RowError(f"line {row.line}: {row.cells}")
                 continue
             try:
                 time_us = _time_us(row.cells[clock], clock)
-            except (ValueError, OverflowError, TypeError):
+            except (ValueError, OverflowError):
+                shown = str(row.cells[clock])[:_SHOWN_CHARACTERS]
+                yield RowError(f"line {row.line}: {clock} = {shown!r}: expected {_EXPECTED[clock]}")
                 continue
             yield time_us, read(row.cells, clock)
 
-    return None if is_long else [name for name in names if name != clock], timed()
+    columns = None if is_long else [name for name in names if name != clock]
+    return Recording(columns, clock == "time", timed())
 
 
 def _time_us(cell: Any, clock: str) -> int:
     if clock == "time_s":
-        return round(float(cell) * 1e6)
-    if isinstance(cell, int):  # a time stamp of Parquet
-        return cell
-    moment = datetime.fromisoformat(str(cell).strip())
+        return round(number_of(str(cell)) * 1e6)
+    if isinstance(cell, TimeStamp):
+        return int(cell)
+    if not isinstance(cell, str):
+        raise ValueError("no time")
+    moment = datetime.fromisoformat(cell.strip())
     if moment.tzinfo is None:
         raise ValueError("a time without an offset")
     return (moment - _EPOCH) // timedelta(microseconds=1)
@@ -93,7 +126,7 @@ def _sample(row: Mapping[str, Any], _clock: str) -> Cells:
 
 def _number(cell: Any) -> float:
     try:
-        value = float(cell)
-    except (TypeError, ValueError):
+        value = number_of(str(cell))
+    except ValueError:
         return math.nan
     return value if math.isfinite(value) else math.nan

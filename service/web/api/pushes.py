@@ -15,6 +15,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from adapters.samples import Quality, Sample, is_bad
+from adapters.times import EARLIEST_US, POSSIBLE
 from service.clock import MICROSECONDS, rfc3339
 from service.documents.measurements import Rejected
 from service.domain.errors import PushRefusedError
@@ -158,8 +159,11 @@ class TooOldError(ValueError):
     """The store takes no sample of this time any more."""
 
     def __init__(self, sample: Sample, time: str, kept_from_us: int) -> None:
-        kept_from = rfc3339(kept_from_us)
-        super().__init__(f"time {time}: too old, history before {kept_from} has been removed")
+        if sample.time_us < EARLIEST_US:
+            super().__init__(f"time {time}: expected {POSSIBLE}")
+        else:
+            kept_from = rfc3339(kept_from_us)
+            super().__init__(f"time {time}: too old, history before {kept_from} has been removed")
         self.sample = sample
 
 
@@ -173,7 +177,7 @@ class Judge:
     def __init__(self, now_us: int, rate: float, kept_from_us: int) -> None:
         self.now_us = now_us
         self._latest_us = now_us + round(_AHEAD_S * max(rate, 1.0) * MICROSECONDS)
-        self._kept_from_us = kept_from_us
+        self._kept_from_us = max(kept_from_us, EARLIEST_US)
         # The samples of one moment have one time: it is read once.
         self._times_us: dict[str, int] = {}
 

@@ -3,7 +3,7 @@
 import math
 import random
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
@@ -45,6 +45,77 @@ def signal(name: str, unit: str, values: Sequence[float], bad: Sequence[int] = (
     bits = np.isin(np.arange(len(values)), bad)
     times = np.arange(len(values)) * 0.5
     return asammdf.Signal(np.array(values), times, unit=unit, name=name, invalidation_bits=bits)
+
+
+def axis(tmp_path: Path, change: Callable[[Any], None], steps: Sequence[float]) -> Path:
+    """A file whose axis is changed to something else."""
+    path = tmp_path / "axis.mf4"
+    with asammdf.MDF(version="4.10") as mdf:
+        mdf.header.start_time = datetime(2026, 3, 1, 12, tzinfo=UTC)
+        values = 60.0 + np.arange(len(steps))
+        ring = asammdf.Signal(values, np.array(steps), unit="°C", name="t_inner_ring_c")
+        mdf.append([ring], common_timebase=True)
+        change(mdf.groups[0].channels[0])
+        mdf.save(path, overwrite=True)
+    return path
+
+
+def of(**attributes: object) -> Callable[[Any], None]:
+    def change(master: Any) -> None:
+        for name, value in attributes.items():
+            setattr(master, name, value)
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        (of(sync_type=2, name="shaft", unit="rad"), "'shaft' (angle in 'rad'); expected a time"),
+        (of(sync_type=3, name="way", unit="m"), "'way' (distance in 'm'); expected a time axis"),
+        (of(sync_type=4, name="row", unit=""), "'row' (index); expected a time axis"),
+        (of(unit="rev"), "(time in 'rev'); expected a time axis, in s"),
+        (of(channel_type=0, sync_type=0, name="n"), "is in group 0, which has no time axis"),
+    ],
+)
+def test_an_axis_that_is_no_time_stops_the_import(
+    tmp_path: Path, run: Run, change: Callable[[Any], None], complaint: str
+) -> None:
+    path = axis(tmp_path, change, [0.0, 1.0, 2.0])
+    mapping = tmp_path / "m.toml"
+    mapping.write_text('[channels.t_inner_ring_c]\ncolumn = "t_inner_ring_c"\n')
+    text = run("import", path, "--mapping", mapping)[2]
+    assert complaint in text
+    assert stored(tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    ("unit", "per_s"), [("s", 1.0), ("ms", 1e3), ("us", 1e6), ("µs", 1e6), ("min", 1 / 60)]
+)
+def test_the_unit_of_an_axis_counts(tmp_path: Path, run: Run, unit: str, per_s: float) -> None:
+    path = axis(tmp_path, of(unit=unit), [0.0, 0.5 * per_s, 3.0 * per_s])
+    assert run("import", path)[0] == 0
+    noon_us = from_rfc3339("2026-03-01T12:00:00Z")
+    assert [row[1] - noon_us for row in stored(tmp_path)] == [0, 500_000, 3_000_000]
+
+
+def test_times_that_cannot_be_are_refused_by_sample(tmp_path: Path, run: Run) -> None:
+    path = axis(tmp_path, of(), [0.0, math.nan, 1e300, -math.inf, 2e9, 5.0])
+    status, report, text = run("import", path)
+    assert (status, report["stored"], report["rejected"]) == (2, 2, 4)
+    assert [one["line"] for one in report["errors"]] == [2, 3, 4, 5]
+    assert "line 5: t_inner_ring_c: 2089-" in text
+    assert "expected a time from 1990 to tomorrow" in text
+
+
+def test_a_channel_that_stops_the_import_stops_it_before_the_first(
+    tmp_path: Path, run: Run
+) -> None:
+    good, wrong = signal("t_inner_ring_c", "°C", [40.0]), signal("speed_rpm", "kWh", [1.0])
+    assert (
+        "'speed_rpm' is in 'kWh'" in run("import", record(tmp_path / "f.mf4", [good], [wrong]))[2]
+    )
+    assert stored(tmp_path) == []
 
 
 def test_what_is_exported_can_be_imported_again(tmp_path: Path, run: Run) -> None:

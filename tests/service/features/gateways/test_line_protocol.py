@@ -3,6 +3,7 @@
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from adapters.times import EARLIEST_US
 from service.features.gateways.line_protocol import judge_lines
 from service.web.api.pushes import Judge
 
@@ -31,7 +32,7 @@ def test_any_text_is_read_or_named(text: str) -> None:
 
 @given(
     value=st.floats(allow_nan=False, allow_infinity=False, allow_subnormal=False),
-    time_ns=st.integers(0, NOW_US * 1000),
+    time_ns=st.integers(EARLIEST_US * 1000, NOW_US * 1000),
 )
 def test_what_a_client_writes_is_what_is_stored(value: float, time_ns: int) -> None:
     judge = Judge(NOW_US, 1.0, 0)

@@ -239,6 +239,15 @@ async def test_samples_from_before_what_is_kept_are_rejected_and_counted(world: 
     assert skipped == 2
 
 
+async def test_samples_of_a_clock_that_was_never_set_are_rejected_and_an_alarm(world: Any) -> None:
+    since_1970_s = world.clock.now_us() // 1_000_000
+    answer = await push(world, sample(world, since_1970_s - 60), sample(world))
+    assert (answer.accepted, [one.index for one in answer.rejected]) == (1, [0])
+    assert "expected a time from 1990 to tomorrow" in answer.rejected[0].detail
+    assert "Samples of 1970-01-01T00:01:00" in (world.ingest.too_old_problem or "")
+    assert "expected a time from 1990 to tomorrow. Check the clock" in world.ingest.too_old_problem
+
+
 async def test_samples_that_were_removed_meanwhile_are_rejected_too(world: Any) -> None:
     day_s = 86_400
     await push(world, sample(world, 50 * day_s), sample(world, 1))

@@ -1,0 +1,14 @@
+"""Which times a sample can have: one rule for files, pushes and recordings."""
+
+from typing import Final
+
+#: 1990-01-01T00:00:00Z. What is earlier is the time of a clock that was never set, or no time.
+EARLIEST_US: Final = 631_152_000_000_000
+_AHEAD_US: Final = 86_400_000_000
+
+POSSIBLE: Final = "a time from 1990 to tomorrow"
+
+
+def is_possible(time_us: int, now_us: int) -> bool:
+    """Whether a sample can be of a time, both UTC microseconds of process time."""
+    return EARLIEST_US <= time_us <= now_us + _AHEAD_US
