@@ -11,4 +11,9 @@ POSSIBLE: Final = "a time from 1990 to tomorrow"
 
 def is_possible(time_us: int, now_us: int) -> bool:
     """Whether a sample can be of a time, both UTC microseconds of process time."""
-    return EARLIEST_US <= time_us <= now_us + _AHEAD_US
+    return EARLIEST_US <= time_us <= latest_us(now_us)
+
+
+def latest_us(now_us: int) -> int:
+    """Latest time that a sample can be of."""
+    return now_us + _AHEAD_US

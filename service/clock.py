@@ -22,6 +22,8 @@ _ANCHOR_FILE = "clock.json"
 _CLOCK_SET_S = 1.0
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _LATEST_US = 32_503_680_000_000_000  # the year 3000
+_FIRST_MOMENT_US = -62_135_596_800_000_000  # of the year 1
+_LAST_MOMENT_US = 253_402_300_799_999_999  # of the year 9999
 
 _log = structlog.get_logger(__name__)
 
@@ -173,9 +175,17 @@ def wall_us() -> int:
     return time.time_ns() // 1000
 
 
+def _moment(time_us: int) -> datetime:
+    """Moment of a time; the last one of the year 9999 for all that come after, the first before."""
+    return _EPOCH + timedelta(microseconds=min(max(time_us, _FIRST_MOMENT_US), _LAST_MOMENT_US))
+
+
 def rfc3339(time_us: int) -> str:
-    """UTC microseconds as RFC 3339 with milliseconds, for example ``2026-11-21T08:00:00.000Z``."""
-    moment = _EPOCH + timedelta(microseconds=time_us)
+    """UTC microseconds as RFC 3339 with milliseconds, for example ``2026-11-21T08:00:00.000Z``.
+
+    Years have four digits: what lies beyond them is given as the end of the year 9999.
+    """
+    moment = _moment(time_us)
     return moment.isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
@@ -185,7 +195,7 @@ def rfc3339_exact(time_us: int) -> str:
     The times of stored samples are printed so, for two samples of a channel may lie some
     microseconds apart.
     """
-    moment = _EPOCH + timedelta(microseconds=time_us)
+    moment = _moment(time_us)
     timespec = "microseconds" if time_us % 1000 else "milliseconds"
     return moment.isoformat(timespec=timespec).replace("+00:00", "Z")
 

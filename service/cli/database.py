@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from adapters.times import POSSIBLE
 from service.cli.serve import ConfigFile
 from service.clock import ProcessClock, from_rfc3339, rfc3339
 from service.site.configuration import SettingsError
@@ -95,6 +96,52 @@ def horizon(
         typer.echo(
             f"Raw samples are kept from {shown} on." if shown else "All raw samples are kept."
         )
+
+
+@db.command()
+def times(
+    remove: Annotated[bool, typer.Option("--remove", help="Remove these samples.")] = False,
+    config: ConfigFile = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="One JSON document on standard output.")
+    ] = False,
+) -> None:
+    """List the samples whose time no sample can have, and remove them.
+
+    Earlier versions took any number in a file for a time. Such samples are from before 1990 or
+    from after tomorrow, to four hours: no import, push or source brings them any more.
+    """
+    from service.cli.keys import command_line_actor
+    from service.clock import wall_us
+    from service.store import AuditEntry, Store
+
+    def line(count: int) -> AuditEntry:
+        who = command_line_actor().who
+        detail = f"{count} samples of impossible times"
+        return AuditEntry(wall_us(), who, "", "samples.remove", "store", detail)
+
+    settings = load_settings(config)
+    now_us = ProcessClock.of(settings.data_dir).now_us()
+    with Store.open(settings.service.database_url, settings.data_dir) as store:
+        found = store.impossible_times.find(now_us)
+        removed = store.impossible_times.remove(now_us, line) if remove else 0
+    if as_json:
+        items = [
+            {"asset": one.asset, "channel": one.channel, "samples": one.samples}
+            | {"first": rfc3339(one.first_us), "last": rfc3339(one.last_us)}
+            for one in found
+        ]
+        typer.echo(json.dumps({"items": items, "removed": removed}))
+        return
+    for one in found:
+        typer.echo(
+            f"{one.asset}/{one.channel}: {one.samples} samples from {rfc3339(one.first_us)} to "
+            f"{rfc3339(one.last_us)}"
+        )
+    if remove:
+        typer.echo(f"{removed} samples removed.")
+    elif not found:
+        typer.echo(f"All samples are of {POSSIBLE}.")
 
 
 @db.command()

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from adapters.times import EARLIEST_US, latest_us
 from service.cli.known_assets import find_asset, no_such_asset
 from service.cli.progress import progress_bar
 from service.cli.serve import ConfigFile
@@ -131,15 +132,20 @@ def export(
     One row per sample or bucket with its quality; "import" reads raw samples back. With the
     resolution "minutes" one row per minute and a column per channel, as "identify" reads it.
     """
+    from service.clock import ProcessClock
     from service.store import Store
     from service.transfer.exporting import export_file, export_minutes
     from service.transfer.pages import RAW, ExportPosition, is_resolution
 
     settings = load_settings(config)
-    start_us = 0 if start is None else _time_us("--start", start)
-    end_us = 2**62 - 1 if end is None else _time_us("--end", end)
+    now_us = ProcessClock.of(settings.data_dir).now_us()
+    start_us = EARLIEST_US if start is None else _time_us("--start", start)
+    end_us = latest_us(now_us) + 1 if end is None else _time_us("--end", end)
     if end_us <= start_us:
-        raise SettingsError(f"--end {end}: expected a time after --start {start}")
+        raise SettingsError(
+            f"--start {start or 'not given'}, --end {end or 'not given'}: expected an end after "
+            "the start; without them it is from 1990 to tomorrow"
+        )
     minutes = resolution == "minutes"
     if not minutes and not is_resolution(resolution):
         raise SettingsError(f"--resolution {resolution}: expected raw, 1s, 1min, 1h or minutes")
@@ -169,6 +175,18 @@ def export(
                 received=received,
             )
             rows = export_file(out, store, asset, place)
+        left_out = 0
+        if start is None or end is None:
+            strange = store.impossible_times.find(now_us, [asset])
+            left_out = sum(
+                one.samples for one in strange if channel is None or one.channel in channel
+            )
+    if left_out:
+        typer.echo(
+            f"{out}: {left_out} samples of times before 1990 or after tomorrow are not exported; "
+            "'bearing-twin db times' lists and removes them",
+            err=True,
+        )
     if as_json:
         typer.echo(json.dumps({"out": str(out), "rows": rows}))
     else:

@@ -15,6 +15,7 @@ from service.store.database import Database, Fence, StoreWitness, damaged
 from service.store.fences import ClosedFence
 from service.store.history import History
 from service.store.identity import StoreIdentity
+from service.store.impossible_times import ImpossibleTimes
 from service.store.jobs import Jobs
 from service.store.model_versions import ModelVersions
 from service.store.opening import open_database
@@ -41,6 +42,7 @@ class Store(Closable):
         self._database = database
         self._parts: dict[type[StorePart], StorePart] = {}
         self.samples = Samples(database)
+        self.impossible_times = ImpossibleTimes(database)
         self.packing = Packing(database)
         self.rollups = Rollups(database, self.samples)
         self.history = History(database)

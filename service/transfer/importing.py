@@ -283,11 +283,7 @@ def _received_us(cell: object, now_us: int) -> int:
 
 def _impossible(name: str, time_us: int) -> RowError:
     """Make the error of a time that no sample can have."""
-    try:
-        text = rfc3339_exact(time_us)
-    except OverflowError:
-        text = f"{time_us} microseconds after 1970"
-    return RowError(f"{name}: {text}: expected {POSSIBLE}")
+    return RowError(f"{name}: {rfc3339_exact(time_us)}: expected {POSSIBLE}")
 
 
 def _number(column: str, cell: object, decimal: str = ".") -> float | None:

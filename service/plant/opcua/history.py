@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from service.clock import HOUR_US
 from service.domain.errors import BearingTwinError
+from service.domain.times import LATEST_US
 from service.plant.opcua.history_encoding import history_data, status_codes
 from service.store import StoreUnavailableError
 from service.store.blocks import ChannelSamples
@@ -39,7 +40,7 @@ _MOST_SPAN_US: Final = 7 * 24 * HOUR_US
 #: ... and so many long intervals.
 _MOST_LONG: Final = 500
 _SHORTEST_MS: Final = 1.0
-_LAST_US: Final = 2**62
+_LAST_US: Final = LATEST_US
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 _POINT: Final = struct.Struct("<q")
 

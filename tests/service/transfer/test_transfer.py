@@ -1,9 +1,11 @@
 """Import and export, on real files and a real store, through the command line's functions."""
 
+import json
 import math
 import random
 import shutil
 from pathlib import Path
+from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -21,6 +23,12 @@ from .conftest import CONFIG, Run, stored
 START = "2026-03-01T12:00:00Z"
 START_US = from_rfc3339(START)
 HEADER = "time,speed_rpm,load_n,ambient_c,t_inner_ring_c,t_outer_ring_c"
+
+
+def database(tmp_path: Path, *arguments: str) -> dict[str, Any]:
+    options = ["-c", str(tmp_path / "c.toml"), "--json"]
+    found: dict[str, Any] = json.loads(CliRunner().invoke(app, ["db", *arguments, *options]).stdout)
+    return found
 
 
 def received_us(tmp_path: Path) -> list[int | None]:
@@ -327,3 +335,26 @@ def test_a_value_for_a_bad_sample_is_taken(tmp_path: Path, run: Run) -> None:
     status, report, _ = run("import", table(tmp_path, *lines, header=header))
     assert (status, report["rejected"]) == (0, 0)
     assert [row[2] for row in stored(tmp_path)] == [1500.0]
+
+
+@pytest.mark.parametrize("suffix", ["csv", "parquet", "mf4", "minutes"])
+def test_samples_of_impossible_times_are_told_and_not_exported(
+    tmp_path: Path, run: Run, suffix: str
+) -> None:
+    strange_us = (1_764_230_400_000, 1_764_230_400_000_000_000, START_US)
+    with Store.open("", tmp_path / "data") as store:
+        store.samples.write([Sample("a", "speed_rpm", one, 1500.0, 192, 0) for one in strange_us])
+    out = tmp_path / f"out.{suffix.replace('minutes', 'csv')}"
+    options = ("--resolution", "minutes") if suffix == "minutes" else ()
+    status, report, text = run("export", "--out", out, *options)
+    assert (status, report["rows"]) == (0, 1)
+    assert "2 samples of times before 1990 or after tomorrow are not exported" in text
+    text = run("export", "--out", tmp_path / "all.csv", "--start", "1970-01-01T00:00:00Z")[2]
+    assert "'bearing-twin db times' lists and removes them" in text
+    listed = database(tmp_path, "times")
+    assert (listed["removed"], [one["samples"] for one in listed["items"]]) == (0, [2])
+    assert listed["items"][0]["first"] == "1970-01-21T10:03:50.400Z"
+    assert listed["items"][0]["last"] == "9999-12-31T23:59:59.999Z"
+    assert database(tmp_path, "times", "--remove")["removed"] == 2
+    assert database(tmp_path, "times") == {"items": [], "removed": 0}
+    assert [row[1] for row in stored(tmp_path)] == [START_US]
