@@ -13,7 +13,15 @@ from pydantic import ValidationError
 from adapters.configuration import ConfigurationError
 from adapters.drivers.opcua.codes import has_overflown, quality_of, status_code
 from adapters.drivers.opcua.config import OpcUaChannel, OpcUaSource, check
-from adapters.drivers.opcua.values import microseconds, moment_of, reading_of
+from adapters.drivers.opcua.values import (
+    STANDS,
+    FollowedNode,
+    NodeReading,
+    compared,
+    microseconds,
+    moment_of,
+    reading_of,
+)
 from adapters.protocol import ChannelBinding, PlanBinding
 from adapters.samples import Quality, is_bad, is_good
 
@@ -72,6 +80,43 @@ def test_a_value_is_good_only_if_all_of_it_is(
         assert reading.value == float(value) * scale
         assert abs(reading.value) <= 1e6
         assert reading.time_us == microseconds(source)
+
+
+def told(readings: list[tuple[int, float, int]]) -> list[tuple[int, bool]]:
+    """Qualities of readings of one node (time, value, quality), and whether each is sent again."""
+    point = FollowedNode("a", "load_n", OpcUaChannel(source="plc", node="i=1"))
+    found = []
+    for time_us, value, quality in readings:
+        reading = NodeReading(time_us, value, quality, "", "", False)
+        one, is_same = compared(reading, point)
+        assert (one.reason == STANDS) == (one.quality == Quality.UNCERTAIN)
+        found.append((one.quality, is_same))
+    return found
+
+
+def test_a_time_that_stands_still_dates_no_change() -> None:
+    good, lost = int(Quality.GOOD), int(Quality.COMM_FAILURE)
+    doubted = int(Quality.UNCERTAIN)
+    readings = [
+        (1, 20.0, good), (1, 20.0, good), (2, 20.0, good), (2, 21.0, good), (2, 21.0, good),
+        (2, math.nan, lost), (2, math.nan, lost), (2, 21.0, good), (3, 21.0, good), (3, 21.0, good),
+    ]  # fmt: skip
+    assert told(readings) == [
+        (good, False), (good, True), (good, False), (doubted, False), (doubted, True),
+        (lost, False), (lost, True), (doubted, False), (good, False), (good, True),
+    ]  # fmt: skip
+
+
+@given(st.lists(st.tuples(st.integers(0, 3), st.sampled_from([1.0, 2.0]), st.just(192))))
+def test_no_change_is_dropped_and_none_is_good_at_a_time_of_another_value(
+    readings: list[tuple[int, float, int]],
+) -> None:
+    found = told([(1 + time_us, value, quality) for time_us, value, quality in readings])
+    for k in range(1, len(readings)):
+        quality, is_same = found[k]
+        assert is_same == (readings[k] == readings[k - 1])
+        if readings[k] != readings[k - 1] and readings[k][0] == readings[k - 1][0]:
+            assert quality == Quality.UNCERTAIN
 
 
 class _Value:

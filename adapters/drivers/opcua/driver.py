@@ -13,7 +13,7 @@ from adapters.backoff import Backoff
 from adapters.drivers.opcua.backfill import fill_in
 from adapters.drivers.opcua.config import OpcUaChannel, OpcUaSource, check
 from adapters.drivers.opcua.session import Session, SessionError
-from adapters.drivers.opcua.values import FollowedNode, reading_of
+from adapters.drivers.opcua.values import FollowedNode, compared, reading_of
 from adapters.protocol import ChannelBinding, Clock, PlanBinding, SourceHealth
 from adapters.samples import Batch, Quality, Sample, is_bad, is_good, next_time_us
 
@@ -181,15 +181,17 @@ class OpcUaDriver:
         ]
 
     def _sample(self, point: FollowedNode, value: Any, now_us: int, stands: bool) -> Sample | None:
-        reading = reading_of(value, point.config, now_us)
+        reading, is_same = compared(reading_of(value, point.config, now_us), point)
         time_us = reading.time_us
         first = point.label not in self._back
         if stands or first:
             if time_us <= point.last_us:  # the server says that the old value stands
                 time_us = next_time_us(point.last_us, self._server_us(now_us))
+        elif is_same:  # sent again
+            return None
+        elif point.stands:
+            time_us = next_time_us(point.last_us, self._server_us(now_us))
         else:
-            if time_us == point.last_us:  # sent again
-                return None
             behind_us = now_us - reading.time_us
             self._behind_us = min(behind_us, self._behind_us or behind_us)
         if point.lost_at_us and first:

@@ -9,6 +9,7 @@ from adapters.drivers.opcua.codes import has_overflown, quality_of
 from adapters.drivers.opcua.config import OpcUaChannel
 from adapters.samples import Quality, is_bad, is_good
 
+STANDS = "source time stands still while the value changes"
 FUTURE_US = 60_000_000  # a source time further ahead than this is none
 _EARLIEST_US = 946_684_800_000_000  # the year 2000; before it no clock has been set
 
@@ -36,6 +37,10 @@ class FollowedNode:
     channel: str
     config: OpcUaChannel
     last_us: int = 0  # of the latest sample
+    source_us: int = 0  # of the latest reading, as the server gave it
+    told: tuple[float | None, int] | None = None  # value and quality of the latest reading
+    #: The value or its quality changed, and their time did not: no time says when.
+    stands: bool = False
     heard_us: int = 0  # when that was handed over
     lost_at_us: int = 0  # latest sample before a loss that has not been filled in
     gaps: list[tuple[int, int]] = field(default_factory=list)
@@ -47,6 +52,21 @@ class FollowedNode:
     def label(self) -> str:
         """The channel's full name for messages."""
         return f"{self.asset}/{self.channel}"
+
+
+def compared(reading: NodeReading, point: FollowedNode) -> tuple[NodeReading, bool]:
+    """Compare a reading with the one before, and remember it.
+
+    Returns the reading, which is uncertain while its time stands still though the value or its
+    quality changed; and whether it is the same one sent again.
+    """
+    told = None if math.isnan(reading.value) else reading.value, reading.quality
+    is_same_time, is_same = reading.time_us == point.source_us, told == point.told
+    point.stands = is_same_time and (point.stands or not is_same)
+    point.source_us, point.told = reading.time_us, told
+    if point.stands and is_good(reading.quality):
+        reading = reading._replace(quality=int(Quality.UNCERTAIN), kind="time", reason=STANDS)
+    return reading, is_same_time and is_same
 
 
 def reading_of(found: Any, config: OpcUaChannel, now_us: int) -> NodeReading:

@@ -169,6 +169,24 @@ async def test_strange_values_are_never_good(
         assert record.driver.health().errors["overflow"] >= 1
 
 
+async def test_every_change_is_taken_though_the_source_time_stands_still(
+    follow: Callable[..., Any], peer: Callable[..., Any], free_port: int, origin: dt.datetime
+) -> None:
+    server = peer("opcua_server.py", free_port, origin.isoformat())
+    await asyncio.to_thread(server.start)
+    async with follow("TIC104.PV") as record:
+        await record.until(lambda: len(record.of("TIC104.PV")) >= 7, 60.0)
+        found = record.of("TIC104.PV")[2:]  # what the server began with, and the first change
+        assert {one.quality for one in found} == {Quality.UNCERTAIN}
+        values = [one.value for one in found]
+        assert {round(b - a) for a, b in itertools.pairwise(values)} == {5}, "each change once"
+        times = [one.time_us for one in found]
+        assert times == sorted(set(times))
+        assert abs(times[-1] / 1e6 - time.time()) < 60.0
+        problem = record.driver.health().problems["bench/TIC104.PV"]
+        assert problem == "source time stands still while the value changes"
+
+
 async def test_encrypted_only_with_the_pinned_server(
     follow: Callable[..., Any],
     peer: Callable[..., Any],

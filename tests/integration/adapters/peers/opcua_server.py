@@ -2,7 +2,7 @@
 
 Value k of TIC101.PV belongs to the moment ORIGIN + k * 0.2 s, whether the server ran then or not;
 every 25th has a sensor failure. TIC102.PV is the same without history, TIC103.PV never changes,
-the others are strange.
+TIC104.PV changes each second with a time that stands still, the others are strange.
 """
 
 import asyncio
@@ -93,7 +93,8 @@ async def main(port: int, origin: dt.datetime, folder: Path | None) -> None:
         )
     space = await server.register_namespace("urn:example:plc")
     nodes = {}
-    for name in ("TIC101.PV", "TIC102.PV", "TIC103.PV", "untimed", "future", "overflow", *STRANGE):
+    others = ("TIC102.PV", "TIC103.PV", "TIC104.PV", "untimed", "future", "overflow")
+    for name in ("TIC101.PV", *others, *STRANGE):
         start = STRANGE.get(name, ua.Variant(0.0))
         any_type = ua.NodeId(ua.ObjectIds.BaseDataType) if name in STRANGE else None
         node_id = ua.NodeId(name, space)
@@ -118,6 +119,10 @@ async def main(port: int, origin: dt.datetime, folder: Path | None) -> None:
                 last = k
                 await write("TIC101.PV", value(k, origin))
                 await write("TIC102.PV", value(k, origin))
+                if k % 5 == 0:
+                    changed = ua.Variant(float(k), ua.VariantType.Double)
+                    standing = ua.DataValue(changed, SourceTimestamp=an_hour_ago)
+                    await write("TIC104.PV", standing)
                 now = NOW(dt.UTC)
                 untimed = ua.DataValue(ua.Variant(float(k)), ServerTimestamp=now)
                 await write("untimed", untimed)
