@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from adapters.samples import Quality, Sample
-from adapters.tables import RowError, TableRow, number_of, open_table
+from adapters.tables import RowError, TableRow, TimeStamp, number_of, open_table
 from adapters.times import POSSIBLE, is_possible
 from service.clock import rfc3339_exact
 from service.store import Store
@@ -293,6 +293,8 @@ def _number(column: str, cell: object, decimal: str = ".") -> float | None:
     if isinstance(cell, float) and math.isnan(cell):
         return None  # how data frames write an empty cell
     try:
+        if isinstance(cell, TimeStamp):
+            raise ValueError("a time is no value")
         value = number_of(str(cell), decimal if isinstance(cell, str) else ".")
     except ValueError:
         value = math.nan

@@ -180,7 +180,10 @@ def time_reader(layout: Layout, start_us: int | None) -> Callable[[object], int]
         try:
             if isinstance(cell, int) and not isinstance(cell, bool | TimeStamp):
                 return start_us + round(cell * per_unit)
-            return start_us + round(number_of(str(cell), layout.decimal) * float(per_unit))
+            if isinstance(cell, TimeStamp):
+                raise ValueError("a time is no count")
+            decimal = layout.decimal if isinstance(cell, str) else "."
+            return start_us + round(number_of(str(cell), decimal) * float(per_unit))
         except (ValueError, OverflowError):
             raise RowError(
                 f"{layout.time}: {shown(cell)}: expected a number, in {layout.unit} from --start"

@@ -40,6 +40,8 @@ _REMOTE_MASTER: Final = 8
 _UNITS_US: Final = {
     "": 1e6,
     "s": 1e6,
+    "sec": 1e6,
+    "seconds": 1e6,
     "ms": 1e3,
     "us": 1.0,
     "\N{MICRO SIGN}s": 1.0,
@@ -386,7 +388,7 @@ def _unit_of_times_us(file: str, one: _Chosen, mdf: Any) -> float:
         return _SECOND_US  # of these files every axis is one of seconds
     master = mdf.groups[number].channels[index]
     kind = _AXES.get(master.sync_type, "no time")
-    unit = str((master.conversion and master.conversion.unit) or master.unit or "")
+    unit = str(master.unit or (master.conversion and master.conversion.unit) or "")
     unit_us = _UNITS_US.get(unit.strip())
     if kind != _TIME or unit_us is None:
         said = f"{kind} in {unit!r}" if unit else kind

@@ -27,6 +27,9 @@ def open_log(path: Path) -> Iterator[Iterator["can.Message"]]:
     if the log cannot be read, also in the middle of it.
     """
     import can
+    from can.io.blf import BLFParseError
+
+    damaged = (*_DAMAGED, can.CanError, BLFParseError, struct.error, zlib.error)
 
     def wrong(text: str) -> ConfigurationError:
         return ConfigurationError(f"file {str(path)!r}: {' '.join(text.split())}")
@@ -37,7 +40,7 @@ def open_log(path: Path) -> Iterator[Iterator["can.Message"]]:
             log: can.io.generic.MessageReader = can.ASCReader(file, relative_timestamp=False)
         else:
             log = can.BLFReader(path)
-    except (*_DAMAGED, can.CanError, struct.error, zlib.error) as error:
+    except damaged as error:
         raise wrong(f"cannot be read ({error})") from error
 
     def frames() -> Iterator["can.Message"]:
@@ -45,7 +48,7 @@ def open_log(path: Path) -> Iterator[Iterator["can.Message"]]:
         while True:
             try:
                 frame = next(found, None)
-            except (*_DAMAGED, can.CanError, struct.error, zlib.error) as error:
+            except damaged as error:
                 raise wrong(f"cannot be read further than {read} frames ({error})") from error
             if frame is None:
                 return
@@ -68,4 +71,4 @@ def _encoding(path: Path) -> str:
         head.decode("utf-8")
     except UnicodeDecodeError:
         return "cp1252"
-    return "utf-8"
+    return "utf-8-sig"

@@ -125,8 +125,10 @@ def _sample(row: Mapping[str, Any], _clock: str) -> Cells:
 
 
 def _number(cell: Any) -> float:
+    if isinstance(cell, bool):
+        return float(cell)
     try:
-        value = number_of(str(cell))
+        value = math.nan if isinstance(cell, TimeStamp) else number_of(str(cell))
     except ValueError:
         return math.nan
     return value if math.isfinite(value) else math.nan

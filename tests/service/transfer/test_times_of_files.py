@@ -163,3 +163,16 @@ def test_of_a_damaged_file_nothing_is_stored(tmp_path: Path, run: Run) -> None:
     text = run("import", damaged(tmp_path))[2]
     assert "damaged.parquet: damaged Parquet file, after row" in text
     assert stored(tmp_path) == []
+
+
+def test_a_time_is_no_count_and_no_value(tmp_path: Path, run: Run) -> None:
+    stamps = pa.array([START_US], pa.timestamp("us", tz="UTC"))
+    plan = mapping(tmp_path, 'unit = "ns"')
+    status, report, _ = run(
+        "import", parquet(tmp_path, stamps), "--mapping", plan, "--start", START
+    )
+    assert (status, report["stored"]) == (2, 0)
+    path = tmp_path / "value.parquet"
+    pq.write_table(pa.table({"time": stamps, "channel": ["load_n"], "value": stamps}), path)
+    status, report, _ = run("import", path)
+    assert (status, report["stored"], report["rejected"]) == (2, 0, 1)
