@@ -191,9 +191,10 @@ class OpcUaDriver:
             return None
         elif point.stands:
             time_us = next_time_us(point.last_us, self._server_us(now_us))
-        else:
-            behind_us = now_us - reading.time_us
-            self._behind_us = min(behind_us, self._behind_us or behind_us)
+        elif time_us > point.last_us:  # a time that went back says nothing of the server's clock
+            behind_us = now_us - time_us
+            known_us = behind_us if self._behind_us is None else self._behind_us
+            self._behind_us = min(behind_us, known_us)
         if point.lost_at_us and first:
             if self._source.backfill and time_us > point.lost_at_us:
                 point.gaps.append((point.lost_at_us, time_us))

@@ -2,7 +2,7 @@
 
 Value k of TIC101.PV belongs to the moment ORIGIN + k * 0.2 s, whether the server ran then or not;
 every 25th has a sensor failure. TIC102.PV is the same without history, TIC103.PV never changes,
-TIC104.PV changes each second with a time that stands still, the others are strange.
+TIC104.PV is written by the test, the others are strange.
 """
 
 import asyncio
@@ -100,6 +100,7 @@ async def main(port: int, origin: dt.datetime, folder: Path | None) -> None:
         node_id = ua.NodeId(name, space)
         nodes[name] = await server.nodes.objects.add_variable(node_id, name, start, None, any_type)
     await nodes["TIC101.PV"].set_attr_bit(ua.AttributeIds.AccessLevel, ua.AccessLevel.HistoryRead)
+    await nodes["TIC104.PV"].set_writable()
     an_hour_ago = origin - dt.timedelta(hours=1)
 
     async def write(name: str, what: ua.DataValue) -> None:
@@ -119,10 +120,6 @@ async def main(port: int, origin: dt.datetime, folder: Path | None) -> None:
                 last = k
                 await write("TIC101.PV", value(k, origin))
                 await write("TIC102.PV", value(k, origin))
-                if k % 5 == 0:
-                    changed = ua.Variant(float(k), ua.VariantType.Double)
-                    standing = ua.DataValue(changed, SourceTimestamp=an_hour_ago)
-                    await write("TIC104.PV", standing)
                 now = NOW(dt.UTC)
                 untimed = ua.DataValue(ua.Variant(float(k)), ServerTimestamp=now)
                 await write("untimed", untimed)
