@@ -5,9 +5,17 @@ import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, BinaryIO, Final, NamedTuple
 
 from adapters import AdapterError
+from adapters.words import one_line
+
+#: A number as files have it; Python's underscores and other scripts' digits make none.
+NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
+NOT_CLOSED: Final = "a quotation mark that is not closed in its line; expected it closed"
+_DECIMAL_COMMA: Final = re.compile(
+    r"[+-]?(?:\d{1,3}(?:\.\d{3})+|\d*),\d+(?:[eE][+-]?\d+)?", re.ASCII
+)
 
 _UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 #: Microseconds of a unit of Parquet's time stamps, and units in one.
@@ -36,21 +44,23 @@ class TableRow(NamedTuple):
     cells: Mapping[str, object] | RowError
 
 
-_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
-
-
 def number_of(text: str, decimal: str = ".") -> float:
     """Read a number of a file; ``decimal`` stands before its fraction.
 
-    Raises `ValueError` where it is none, as Python's underscores and other scripts' digits.
+    Raises `ValueError` where it is none.
     """
     text = text.strip()
     if decimal != ".":
         # A point in such a file separates thousands.
         text = "" if "." in text else text.replace(decimal, ".")
-    if _NUMBER.fullmatch(text) is None:
+    if NUMBER.fullmatch(text) is None:
         raise ValueError("expected a number")
     return float(text)
+
+
+def has_decimal_comma(text: str) -> bool:
+    """Whether a text is a number with a comma before its fraction."""
+    return "," in text and _DECIMAL_COMMA.fullmatch(text.strip()) is not None
 
 
 @contextmanager
@@ -148,7 +158,7 @@ def _split(name: str, line: int, raw: bytes, delimiter: str) -> list[str] | RowE
         return next(csv.reader((text,), delimiter=delimiter, strict=True), [])
     except csv.Error as error:
         if "unexpected end of data" in str(error):
-            return RowError("a quotation mark that is not closed in its line; expected it closed")
+            return RowError(NOT_CLOSED)
         return RowError(f"not CSV ({error})")
 
 
@@ -163,10 +173,10 @@ def _parquet(path: Path) -> Iterator[tuple[list[str], Iterator[TableRow]]]:
         file = parquet.ParquetFile(path)
     except OSError as error:
         raise TableFileError(
-            f"{path}: cannot be read ({error.strerror or _one_line(error)})"
+            f"{path}: cannot be read ({error.strerror or one_line(error)})"
         ) from error
     except pa.ArrowException as error:
-        raise TableFileError(f"{path.name}: not a Parquet file ({_one_line(error)})") from error
+        raise TableFileError(f"{path.name}: not a Parquet file ({one_line(error)})") from error
     with file:
         total = max(file.metadata.num_rows, 1)
 
@@ -184,7 +194,7 @@ def _parquet(path: Path) -> Iterator[tuple[list[str], Iterator[TableRow]]]:
                     }
                 except (pa.ArrowException, OSError, ValueError, OverflowError) as error:
                     raise TableFileError(
-                        f"{path.name}: damaged Parquet file, after row {line} ({_one_line(error)})"
+                        f"{path.name}: damaged Parquet file, after row {line} ({one_line(error)})"
                     ) from error
                 for at in range(batch.num_rows):
                     line += 1
@@ -205,10 +215,6 @@ def _plain(pa: Any, column: Any) -> list[object]:
             for count in column.cast(pa.int64()).to_pylist()
         ]
     return list(column.to_pylist())
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())
 
 
 def load_pyarrow() -> tuple[Any, Any]:

@@ -1,10 +1,13 @@
 """Which times a sample can have: one rule for files, pushes and recordings."""
 
+from datetime import UTC, datetime, timedelta
 from typing import Final
 
 #: 1990-01-01T00:00:00Z. What is earlier is the time of a clock that was never set, or no time.
 EARLIEST_US: Final = 631_152_000_000_000
 _AHEAD_US: Final = 86_400_000_000
+
+_EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 
 POSSIBLE: Final = "a time from 1990 to tomorrow"
 
@@ -17,3 +20,11 @@ def is_possible(time_us: int, now_us: int) -> bool:
 def latest_us(now_us: int) -> int:
     """Latest time that a sample can be of."""
     return now_us + _AHEAD_US
+
+
+def dated(time_us: int) -> str:
+    """Give a time for a message, however impossible it is."""
+    try:
+        return (_EPOCH + timedelta(microseconds=time_us)).isoformat()
+    except OverflowError:
+        return "a year of more than four digits" if time_us > 0 else "a year before the first"

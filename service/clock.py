@@ -104,7 +104,7 @@ class ProcessClock:
 
     @classmethod
     def of(cls, data_dir: Path) -> "ProcessClock":
-        """Tell the time that the service with this data directory is in, also while it is off."""
+        """Give the time that the service with this data directory is in, also while it is off."""
         return cls._read(data_dir / _ANCHOR_FILE) or cls()
 
     @classmethod

@@ -3,9 +3,10 @@
 import re
 from functools import lru_cache
 
+from adapters.tables import NUMBER
+
 #: What a spreadsheet evaluates, or takes away before it looks.
 _FORMULA = re.compile("[=+@\\-\t\r\n\uff1d\uff0b\uff0d\uff20]")
-_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
 _NEEDS_QUOTES = re.compile('[",\r\n]')
 
 
@@ -14,7 +15,7 @@ def text_cell(text: str) -> str:
 
     Numbers stay as they are.
     """
-    if _FORMULA.match(text) and not _NUMBER.fullmatch(text):
+    if _FORMULA.match(text) and not NUMBER.fullmatch(text):
         return f"'{text}"
     return text
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.configuration import first_repeated
-from adapters.tables import number_of
+from adapters.tables import NOT_CLOSED, number_of
 from service.clock import from_rfc3339
 from service.domain.channels import NODES, OPERATING_CHANNELS, RING_SENSORS
 from service.domain.errors import BearingTwinError
@@ -346,15 +346,13 @@ class _Table:
 
     def _next(self) -> list[str] | None:
         line = self._reader.line_num + 1
+        wrong = ""
         try:
             cells = next(self._reader, None)
         except csv.Error as error:
-            # An open quotation mark is found at the end of the file only.
-            text = "not closed" if self._reader.line_num > line else f"not CSV ({error})"
-        else:
-            if cells is None or self._reader.line_num == line:
-                return cells
-            text = "not closed"
-        if text == "not closed":
-            text = "a quotation mark that is not closed in its line; expected it closed"
-        raise self.error(line, text)
+            cells, wrong = None, f"not CSV ({error})"
+        if self._reader.line_num > line:  # or only the end of the file closed it
+            wrong = NOT_CLOSED
+        if wrong:
+            raise self.error(line, wrong)
+        return cells

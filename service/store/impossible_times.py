@@ -48,10 +48,10 @@ class ImpossibleTimes(StorePart):
         found = []
         with self._database.reading() as connection:
             query = select(ChannelRow.asset, ChannelRow.name, ChannelRow.id)
+            if assets is not None:
+                query = query.where(ChannelRow.asset.in_(assets))
             channels = connection.execute(query.order_by(ChannelRow.asset, ChannelRow.name)).all()
             for asset, name, channel_id in channels:
-                if assets is not None and asset not in assets:
-                    continue
                 parts = [_count(connection, channel_id, span) for span in _spans(now_us)]
                 whole = [part for part in parts if part is not None]
                 if whole:
@@ -64,20 +64,18 @@ class ImpossibleTimes(StorePart):
     def remove(self, now_us: int, line: Callable[[int], AuditEntry]) -> int:
         """Remove them with what was computed of them; returns how many samples there were.
 
-        ``line``: makes the line of the audit trail of their number; none is written for nought.
+        ``line``: makes a line of the audit trail of their number, in the transaction that removes
+        them: what is removed before an interruption has its line.
         """
-        removed = 0
         with self._database.reading() as connection:
             channel_ids = list(connection.scalars(select(ChannelRow.id)))
-        for channel_id in channel_ids:
-            for span in _spans(now_us):
-                removed += self._remove(channel_id, span)
-        if removed:
-            with self._database.writing() as connection:
-                add_line(connection, line(removed))
-        return removed
+        return sum(
+            self._remove(channel_id, span, line)
+            for channel_id in channel_ids
+            for span in _spans(now_us)
+        )
 
-    def _remove(self, channel_id: int, span: _Span) -> int:
+    def _remove(self, channel_id: int, span: _Span, line: Callable[[int], AuditEntry]) -> int:
         inside = _inside(SampleRow.channel_id, SampleRow.time_us, channel_id, span)
         next_times = select(SampleRow.time_us).where(*inside).order_by(SampleRow.time_us)
         removed = 0
@@ -90,13 +88,16 @@ class ImpossibleTimes(StorePart):
             with self._database.writing() as connection:
                 if times_us:
                     until = SampleRow.time_us <= times_us[-1]
-                    removed += connection.execute(delete(SampleRow).where(*inside, until)).rowcount
+                    count = connection.execute(delete(SampleRow).where(*inside, until)).rowcount
+                    add_line(connection, line(count))
+                    removed += count
                     continue
                 hours = _inside(PackedHourRow.channel_id, PackedHourRow.hour_us, channel_id, span)
-                for hour_us in connection.scalars(
-                    select(PackedHourRow.hour_us).where(*hours)
-                ).all():
-                    removed += packed.remove(connection, channel_id, hour_us)
+                hours_us = connection.scalars(select(PackedHourRow.hour_us).where(*hours)).all()
+                count = sum(packed.remove(connection, channel_id, one) for one in hours_us)
+                if count:
+                    add_line(connection, line(count))
+                    removed += count
                 for row, time_us in (
                     (RollupRow, RollupRow.time_us),
                     (RollupBlockRow, RollupBlockRow.begin_us),

@@ -14,6 +14,7 @@ from service.spreadsheets import text_cell
 from service.store import Rollup, Store, StoredSample
 from service.transfer import mdf
 from service.transfer.errors import TransferError
+from service.transfer.mdf_writing import write_mdf
 from service.transfer.pages import RAW, ExportPosition, as_csv, csv_header, read_pages
 
 PAGE_ROWS = 20_000
@@ -97,7 +98,7 @@ def export_file(path: Path, store: Store, asset: str, place: ExportPosition) -> 
         ".csv": write_csv,
         ".parquet": write_parquet,
         ".pq": write_parquet,
-        mdf.SUFFIX: mdf.write_mdf,
+        mdf.SUFFIX: write_mdf,
     }
     writer = writers.get(path.suffix.lower())
     if writer is None:

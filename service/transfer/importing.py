@@ -1,7 +1,6 @@
 """Files into the store: CSV, Parquet, MDF; every bad row named, sending again does no harm."""
 
 import math
-import re
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -10,13 +9,21 @@ from pathlib import Path
 import numpy as np
 
 from adapters.samples import Quality, Sample
-from adapters.tables import RowError, TableRow, TimeStamp, number_of, open_table
+from adapters.tables import (
+    RowError,
+    TableRow,
+    TimeStamp,
+    has_decimal_comma,
+    number_of,
+    open_table,
+)
 from adapters.times import POSSIBLE, is_possible
+from adapters.words import shown
 from service.clock import rfc3339_exact
 from service.store import Store
 from service.transfer import mdf
 from service.transfer.errors import TransferError
-from service.transfer.mapping import Layout, layout_of, moment_us, read_mapping, shown, time_reader
+from service.transfer.mapping import Layout, layout_of, moment_us, read_mapping, time_reader
 
 BATCH_SAMPLES = 20_000
 #: This many bad rows are reported one by one; all are counted.
@@ -24,7 +31,6 @@ REJECTED_LISTED = 100
 
 # What no machine shows: sentinels and shifted columns must not pass as measurements.
 _RANGES = {"_c": (-100.0, 500.0), "_rpm": (-1e5, 1e5), "_n": (-1e3, 1e7)}
-_DECIMAL_COMMA = re.compile(r"\s*[+-]?\d+,\d+\s*", re.ASCII)
 
 Row = Mapping[str, object]
 Progress = Callable[[float], None]
@@ -105,13 +111,8 @@ def import_file(
     delimiter = "," if plan is None else plan.delimiter
     with open_table(path, delimiter) as (columns, rows):
         layout = layout_of(path.name, columns, plan, own_channels)
-        if layout.unit is not None and start_us is None:
-            raise TransferError(
-                f"{path.name}: {layout.time} counts from a time that the file does not say; "
-                f"expected --start with the time of 0 {layout.unit}"
-            )
+        time_us_of = time_reader(path.name, layout, start_us)
         _check_whole(path.name, layout, rows)
-    time_us_of = time_reader(layout, start_us)
     with open_table(path, delimiter) as (_, rows):
         batch: list[_Numbered] = []
         for read, line, row in rows:
@@ -141,7 +142,7 @@ def _check_whole(name: str, layout: Layout, rows: Iterator[TableRow]) -> None:
             continue
         for column in columns:
             cell = row[column]
-            if isinstance(cell, str) and "," in cell and _DECIMAL_COMMA.fullmatch(cell):
+            if isinstance(cell, str) and has_decimal_comma(cell):
                 raise TransferError(
                     f"{name}: line {line}: {column} = {shown(cell)}: a decimal comma; expected a "
                     'mapping with decimal = ","'

@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from adapters.configuration import first_repeated
 from adapters.tables import RowError, TimeStamp, number_of
+from adapters.words import shown
 from service.clock import from_rfc3339
 from service.domain.channels import NODES, OPERATING_CHANNELS, RING_SENSORS
 from service.site.configuration import describe
@@ -24,8 +25,8 @@ _US_OF = {
     "us": Fraction(1),
     "ns": Fraction(1, 1000),
 }
-#: No time and no number of a machine is longer.
-_SHOWN_CHARACTERS = 60
+#: No time is longer.
+_TIME_CHARACTERS = 60
 _HEADER = f"time or time_s, {', '.join(REQUIRED)} and {NODES[0]} to {NODES[-1]}"
 
 
@@ -169,14 +170,21 @@ def layout_of(
     return layout
 
 
-def time_reader(layout: Layout, start_us: int | None) -> Callable[[object], int]:
-    """Make the function that turns a cell of the time column into UTC microseconds."""
+def time_reader(file: str, layout: Layout, start_us: int | None) -> Callable[[object], int]:
+    """Make the function that turns a cell of the time column into UTC microseconds.
+
+    Raises `TransferError` if the cells count from a start that nobody gives.
+    """
     if layout.unit is None:
         return lambda cell: moment_us(layout.time, cell)
+    if start_us is None:
+        raise TransferError(
+            f"{file}: {layout.time} counts from a time that the file does not say; "
+            f"expected --start with the time of 0 {layout.unit}"
+        )
     per_unit = _US_OF[layout.unit]
 
     def counted(cell: object) -> int:
-        assert start_us is not None  # noqa: S101 - asked for before the first row
         try:
             if isinstance(cell, int) and not isinstance(cell, bool | TimeStamp):
                 return start_us + round(cell * per_unit)
@@ -204,12 +212,6 @@ def moment_us(column: str, cell: object) -> int:
             "the unit of this number"
         )
     try:
-        return from_rfc3339(cell.strip()[:_SHOWN_CHARACTERS])
+        return from_rfc3339(cell.strip()[:_TIME_CHARACTERS])
     except ValueError as error:
         raise RowError(f"{column}: {error}") from None
-
-
-def shown(cell: object) -> str:
-    """Give a cell that is wrong for a message, not at any length."""
-    text = repr(cell[:_SHOWN_CHARACTERS] if isinstance(cell, str) else cell)
-    return text if len(text) <= 2 * _SHOWN_CHARACTERS else f"{text[:_SHOWN_CHARACTERS]}…"

@@ -1,7 +1,6 @@
-"""MDF 4, the files of measurement systems (ASAM): a group with a time axis for each channel.
+"""MDF, the files of measurement systems (ASAM): a group with a time axis for each channel.
 
-A bad value is NaN with its invalidation bit, as some readers know only one of the two; the quality
-byte stands in a channel beside it, ``NAME.quality``.
+The quality byte of a channel stands in one beside it, ``NAME.quality``.
 """
 
 import contextlib
@@ -11,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Any, BinaryIO, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,16 +18,13 @@ from numpy.typing import NDArray
 from adapters.configuration import first_repeated
 from adapters.samples import Quality
 from adapters.tables import TableFileError
-from service.domain.channels import NODES, OPERATING_CHANNELS, RING_SENSORS, unit_of
-from service.store import Store, StoredSample
+from service.domain.channels import NODES, OPERATING_CHANNELS, RING_SENSORS
 from service.transfer.errors import TransferError
 from service.transfer.mapping import ChannelColumn, Mapping
-from service.transfer.pages import RAW, ExportPosition, read_pages
 from service.transfer.units import into_ours, units_of
 
 SUFFIX: Final = ".mf4"
-PAGE_ROWS = 20_000
-_QUALITY = ".quality"
+QUALITY_SUFFIX = ".quality"
 _SECOND_US = 1_000_000
 #: 30,000 years: further from a start than any time that can be.
 _BEYOND_US: Final = 1e18
@@ -51,8 +47,6 @@ _UNITS_US: Final = {
     "h": 3.6e9,
 }
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
-_COMPRESSED = 2
-"""Transposed and deflated: what slow temperatures shrink most by."""
 _BEGINNING: Final = b"MDF     "
 _UNFINISHED: Final = b"UnFinMF "
 #: Versions whose header is a block of 64-bit links, and those before.
@@ -100,98 +94,6 @@ def load_asammdf() -> Any:
     except ImportError:
         raise TableFileError("MDF 4 needs asammdf: pip install 'bearing-twin[mdf]'") from None
     return asammdf
-
-
-# ---------------------------------------------------------------------------------------------
-# Out
-
-
-def write_mdf(file: BinaryIO, store: Store, asset: str, place: ExportPosition) -> int:
-    """Write the rows of a query, a group per channel; returns how many rows.
-
-    Samples have ``NAME`` and ``NAME.quality``; buckets their mean as ``NAME``, and ``NAME.min``,
-    ``NAME.max`` and ``NAME.count`` besides. The file begins, in UTC, with the first of all rows.
-    Raises `TableFileError` if asammdf is not installed.
-    """
-    asammdf = load_asammdf()
-    names = place.channels or store.samples.channels(asset)
-    rows = 0
-    with asammdf.MDF(version="4.10") as mdf:
-        start_us = _start_us(store, asset, place, names)
-        mdf.header.start_time = _EPOCH + timedelta(microseconds=start_us)
-        mdf.header.comment = asset
-        for name in names:
-            one = place.model_copy(update={"channels": [name]})
-            table = _columns(store, asset, one)
-            if not table[0].size:
-                continue
-            rows += table[0].size
-            mdf.append(
-                _signals(asammdf, name, table, start_us, place.resolution),
-                comment=f"{asset}/{name}",
-                common_timebase=True,
-            )
-        mdf.save(file, compression=_COMPRESSED)
-    return rows
-
-
-def _start_us(store: Store, asset: str, place: ExportPosition, names: Sequence[str]) -> int:
-    """Give the whole second in which the first row lies."""
-    first_us = []
-    for name in names:
-        one = place.model_copy(update={"channels": [name]})
-        page = next(read_pages(store, asset, one, 1), ())
-        first_us += [row.time_us for row in page[:1]]
-    return min(first_us, default=0) // _SECOND_US * _SECOND_US
-
-
-def _columns(store: Store, asset: str, place: ExportPosition) -> list[NDArray[Any]]:
-    """Times, qualities, values of one channel; of buckets their extremes and counts too."""
-    pages = []
-    for page in read_pages(store, asset, place, PAGE_ROWS):
-        if not page:
-            continue
-        columns = [
-            (row.time_us, row.quality, row.value)
-            if isinstance(row, StoredSample)
-            else (row.time_us, row.quality, row.mean, row.min, row.max, row.good)
-            for row in page
-        ]
-        kinds = (np.int64, np.uint8, *(len(columns[0]) - 2) * (np.float64,))
-        pages.append(
-            [
-                np.array(one, kind)
-                for one, kind in zip(zip(*columns, strict=True), kinds, strict=True)
-            ]
-        )
-    if not pages:
-        return [np.empty(0)] * 3
-    return [np.concatenate(parts) for parts in zip(*pages, strict=True)]
-
-
-def _signals(
-    asammdf: Any, name: str, table: Sequence[NDArray[Any]], start_us: int, resolution: str
-) -> list[Any]:
-    time_us, quality, *values = table
-    seconds = (time_us - start_us) / _SECOND_US
-    bad = quality < Quality.UNCERTAIN
-    endings = ("",) if resolution == RAW else ("", ".min", ".max", ".count")
-    found = [
-        asammdf.Signal(
-            np.where(bad, np.nan, column),
-            seconds,
-            unit="" if ending == ".count" else unit_of(name),
-            name=f"{name}{ending}",
-            invalidation_bits=bad | np.isnan(column),
-        )
-        for ending, column in zip(endings, values, strict=True)
-    ]
-    found.append(asammdf.Signal(quality, seconds, name=f"{name}{_QUALITY}", comment="OPC DA"))
-    return found
-
-
-# ---------------------------------------------------------------------------------------------
-# In
 
 
 @contextlib.contextmanager
@@ -325,9 +227,9 @@ def _by_name(
     standard = (*OPERATING_CHANNELS, *RING_SENSORS, *NODES)
     known = standard if own_channels is None else tuple(own_channels)
     judged = {
-        (name.removesuffix(_QUALITY), group)
+        (name.removesuffix(QUALITY_SUFFIX), group)
         for name, here in places.items()
-        if name.endswith(_QUALITY)
+        if name.endswith(QUALITY_SUFFIX)
         for group, _ in here
     }
     for name, here in places.items():
@@ -341,7 +243,7 @@ def _by_name(
         for group, index in here:
             if (name, group) in judged or name in known:
                 yield _Chosen(name, ChannelColumn(column=name), group, index)
-            elif not name.endswith(_QUALITY):
+            elif not name.endswith(QUALITY_SUFFIX):
                 raise TransferError(
                     f"{file}: unknown channel {name!r}; expected "
                     f"{', '.join(known[:5])} …, or a mapping"
@@ -355,7 +257,7 @@ def _channels(
     for number, one in enumerate(chosen, 1):
         with _naming_damage(asammdf, file):
             signal = mdf.get(group=one.group, index=one.index, ignore_invalidation_bits=True)
-            beside = dict(places.get(f"{one.source.column}{_QUALITY}", ()))
+            beside = dict(places.get(f"{one.source.column}{QUALITY_SUFFIX}", ()))
             quality = None
             if one.group in beside:
                 quality = mdf.get(
@@ -439,7 +341,8 @@ def _bytes(file: str, one: _Chosen, quality: NDArray[Any]) -> NDArray[np.int64]:
     is_whole = quality.dtype.kind in "iu"
     if not is_whole or (quality.size and not 0 <= quality.min() <= quality.max() <= 255):
         raise TransferError(
-            f"{file}: channel '{one.source.column}{_QUALITY}': expected whole numbers from 0 to 255"
+            f"{file}: channel '{one.source.column}{QUALITY_SUFFIX}': expected whole numbers from 0 "
+            "to 255"
         )
     return quality.astype(np.int64)
 

@@ -82,7 +82,7 @@ def test_a_value_is_good_only_if_all_of_it_is(
         assert reading.time_us == microseconds(source)
 
 
-def told(readings: list[tuple[int, float, int]]) -> list[tuple[int, bool]]:
+def judged(readings: list[tuple[int, float, int]]) -> list[tuple[int, bool]]:
     """Qualities of readings of one node (time, value, quality), and whether each is sent again."""
     point = FollowedNode("a", "load_n", OpcUaChannel(source="plc", node="i=1"))
     found = []
@@ -101,7 +101,7 @@ def test_a_time_that_stands_still_dates_no_change() -> None:
         (1, 20.0, good), (1, 20.0, good), (2, 20.0, good), (2, 21.0, good), (2, 21.0, good),
         (2, math.nan, lost), (2, math.nan, lost), (2, 21.0, good), (3, 21.0, good), (3, 21.0, good),
     ]  # fmt: skip
-    assert told(readings) == [
+    assert judged(readings) == [
         (good, False), (good, True), (good, False), (doubted, False), (doubted, True),
         (lost, False), (lost, True), (doubted, False), (good, False), (good, True),
     ]  # fmt: skip
@@ -111,7 +111,7 @@ def test_a_time_that_stands_still_dates_no_change() -> None:
 def test_no_change_is_dropped_and_none_is_good_at_a_time_of_another_value(
     readings: list[tuple[int, float, int]],
 ) -> None:
-    found = told([(1 + time_us, value, quality) for time_us, value, quality in readings])
+    found = judged([(1 + time_us, value, quality) for time_us, value, quality in readings])
     for k in range(1, len(readings)):
         quality, is_same = found[k]
         assert is_same == (readings[k] == readings[k - 1])

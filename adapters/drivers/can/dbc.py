@@ -11,6 +11,7 @@ from cantools.errors import Error as CantoolsError
 from adapters.configuration import ConfigurationError, suggestion
 from adapters.drivers.can.config import CanChannel, CanSource
 from adapters.drivers.can.senders import group_mask, is_j1939
+from adapters.words import one_line
 
 Key = TypeVar("Key")
 FrameKey = tuple[int, bool]  # identifier, extended or not
@@ -72,7 +73,9 @@ def load_dbc(source: CanSource) -> DbcFile:
     except OSError as error:
         raise ConfigurationError(f"{where} cannot be read: {error.strerror or error}") from None
     except (CantoolsError, ValueError) as error:
-        raise ConfigurationError(f"{where} is not a valid DBC file: {_one_line(error)}") from None
+        raise ConfigurationError(
+            f"{where} is not a valid DBC file: {one_line(error)[:200]}"
+        ) from None
     if not isinstance(database, Database):
         raise ConfigurationError(f"{where} is not a CAN database")
     return DbcFile(str(source.dbc), database.messages)
@@ -111,7 +114,7 @@ def _flaw(named: Sequence[Message]) -> str:
     try:
         message.refresh(strict=True)
     except CantoolsError as error:
-        return _one_line(error)
+        return one_line(error)[:200]
     return ""
 
 
@@ -126,7 +129,3 @@ def _grouped(
     for message in messages:
         groups.setdefault(key(message), []).append(message)
     return groups
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())[:200]

@@ -19,6 +19,7 @@ from adapters.drivers.can.bus import close_bus, open_bus
 from adapters.drivers.can.config import CanSource
 from adapters.protocol import Clock
 from adapters.samples import Sample
+from adapters.words import one_line
 
 logger = logging.getLogger(__name__)
 
@@ -201,4 +202,4 @@ def _reason(error: BaseException) -> str:
     """One line for people; python-can often hides the reason in the cause."""
     cause = error.__cause__
     text = f"{error} ({cause})" if cause is not None and str(cause) != str(error) else str(error)
-    return " ".join(text.split()) or type(error).__name__
+    return one_line(text) or type(error).__name__

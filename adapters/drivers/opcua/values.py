@@ -38,7 +38,7 @@ class FollowedNode:
     config: OpcUaChannel
     last_us: int = 0  # of the latest sample
     source_us: int = 0  # of the latest reading, as the server gave it
-    told: tuple[float | None, int] | None = None  # value and quality of the latest reading
+    latest: tuple[float | None, int] | None = None  # value and quality of the latest reading
     #: The value or its quality changed, and their time did not: no time says when.
     stands: bool = False
     heard_us: int = 0  # when that was handed over
@@ -60,10 +60,10 @@ def compared(reading: NodeReading, point: FollowedNode) -> tuple[NodeReading, bo
     Returns the reading, which is uncertain while its time stands still though the value or its
     quality changed; and whether it is the same one sent again.
     """
-    told = None if math.isnan(reading.value) else reading.value, reading.quality
-    is_same_time, is_same = reading.time_us == point.source_us, told == point.told
+    latest = None if math.isnan(reading.value) else reading.value, reading.quality
+    is_same_time, is_same = reading.time_us == point.source_us, latest == point.latest
     point.stands = is_same_time and (point.stands or not is_same)
-    point.source_us, point.told = reading.time_us, told
+    point.source_us, point.latest = reading.time_us, latest
     if point.stands and is_good(reading.quality):
         reading = reading._replace(quality=int(Quality.UNCERTAIN), kind="time", reason=STANDS)
     return reading, is_same_time and is_same

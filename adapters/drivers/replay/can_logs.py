@@ -4,11 +4,12 @@ import math
 import struct
 import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from adapters.configuration import ConfigurationError
+from adapters.words import one_line
 
 if TYPE_CHECKING:
     import can
@@ -32,16 +33,7 @@ def open_log(path: Path) -> Iterator[Iterator["can.Message"]]:
     damaged = (*_DAMAGED, can.CanError, BLFParseError, struct.error, zlib.error)
 
     def wrong(text: str) -> ConfigurationError:
-        return ConfigurationError(f"file {str(path)!r}: {' '.join(text.split())}")
-
-    try:
-        if path.suffix.lower() == ".asc":
-            file = path.open(encoding=_encoding(path), errors="replace")
-            log: can.io.generic.MessageReader = can.ASCReader(file, relative_timestamp=False)
-        else:
-            log = can.BLFReader(path)
-    except damaged as error:
-        raise wrong(f"cannot be read ({error})") from error
+        return ConfigurationError(f"file {str(path)!r}: {one_line(text)}")
 
     def frames() -> Iterator["can.Message"]:
         found, read = iter(log), 0
@@ -58,7 +50,15 @@ def open_log(path: Path) -> Iterator[Iterator["can.Message"]]:
             if math.isfinite(frame.timestamp):
                 yield frame
 
-    with log:
+    with ExitStack() as stack:
+        try:
+            if path.suffix.lower() == ".asc":
+                text = stack.enter_context(path.open(encoding=_encoding(path), errors="replace"))
+                log: can.io.generic.MessageReader = can.ASCReader(text, relative_timestamp=False)
+            else:
+                log = can.BLFReader(stack.enter_context(path.open("rb")))
+        except damaged as error:
+            raise wrong(f"cannot be read ({error})") from error
         yield frames()
 
 

@@ -17,7 +17,7 @@ from adapters.drivers.replay.tables import open_recording
 from adapters.protocol import ChannelBinding, Clock, PlanBinding, SourceHealth
 from adapters.samples import Batch, Quality, Sample, is_good
 from adapters.tables import RowError
-from adapters.times import EARLIEST_US, POSSIBLE, is_possible
+from adapters.times import EARLIEST_US, POSSIBLE, dated, is_possible
 
 if TYPE_CHECKING:
     import can
@@ -48,7 +48,6 @@ class ReplayDriver:
         self._channels = list(channels)
         self._clock = clock
         self._health = SourceHealth(source.name, "replay")
-        self._left_out = 0
 
     @property
     def name(self) -> str:
@@ -90,18 +89,18 @@ class ReplayDriver:
                 break
             await self._clock.sleep(REPEAT_PAUSE_S)
         logger.info("source %s: %s has ended: %s", self.name, self._source.file, ended)
-        if self._left_out:
+        if "row" in self._health.errors:
             ended += f"; {self._health.detail}"
         self._health.up, self._health.detail = False, ended
         await asyncio.Event().wait()
 
     def _leave_out(self, error: RowError) -> None:
-        """Tell of a row that cannot be played."""
-        self._left_out += 1
+        """Report a row that cannot be played."""
         self._health.count_error("row")
-        if self._left_out == 1:
+        count = self._health.errors["row"]
+        if count == 1:
             logger.warning("source %s: left out: %s", self.name, error)
-        self._health.detail = f"{self._left_out} rows left out, the latest: {error}"
+        self._health.detail = f"{count} rows left out, the latest: {error}"
 
     async def _once(self) -> AsyncIterator[Batch]:
         speed = self._source.speed
@@ -236,7 +235,7 @@ def _events(
 
 
 def _impossible(time_us: int) -> RowError:
-    return RowError(f"time {time_us / 1e6:.3f} s after 1970: expected {POSSIBLE}")
+    return RowError(f"{dated(time_us)}: expected {POSSIBLE}")
 
 
 def _sample(binding: ChannelBinding, time_us: int, value: float, quality: int) -> Sample:
@@ -263,12 +262,13 @@ def _frames(
         time_us = round(frame.timestamp * 1e6)
         if is_dated is None:
             is_dated = _is_dated(frame.timestamp)
-        # A log without a date is played by the distances of its frames; a date among them is none.
-        fits = is_possible(time_us, now_us) if is_dated else 0 <= time_us < EARLIEST_US
-        if not fits:
+        if is_dated and not is_possible(time_us, now_us):
             yield _impossible(time_us)
-            continue
-        yield time_us, message.receive(frame.arbitration_id, frame.data, time_us)
+        elif not is_dated and not 0 <= time_us < EARLIEST_US:
+            # Such a log is played by the distances of its frames.
+            yield RowError(f"{dated(time_us)} in a log without a date: expected seconds")
+        else:
+            yield time_us, message.receive(frame.arbitration_id, frame.data, time_us)
 
 
 def _as_can(

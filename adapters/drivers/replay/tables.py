@@ -18,10 +18,10 @@ from adapters.tables import (
     number_of,
     open_table,
 )
+from adapters.words import shown
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _EXPECTED = {"time": "a time with an offset", "time_s": "seconds"}
-_SHOWN_CHARACTERS = 60
 
 Cells = Mapping[str, tuple[float, int]]
 """Value and quality by column; empty cells are not there."""
@@ -81,8 +81,8 @@ def _timed(path: Path, names: list[str], rows: Iterator[TableRow]) -> Recording:
             try:
                 time_us = _time_us(row.cells[clock], clock)
             except (ValueError, OverflowError):
-                shown = str(row.cells[clock])[:_SHOWN_CHARACTERS]
-                yield RowError(f"line {row.line}: {clock} = {shown!r}: expected {_EXPECTED[clock]}")
+                cell = shown(row.cells[clock])
+                yield RowError(f"line {row.line}: {clock} = {cell}: expected {_EXPECTED[clock]}")
                 continue
             yield time_us, read(row.cells, clock)
 

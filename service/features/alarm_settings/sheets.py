@@ -3,12 +3,11 @@
 import csv
 import io
 import json
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
 from adapters.configuration import first_repeated, listed
-from adapters.tables import RowError, TableFileError, csv_table
+from adapters.tables import RowError, TableFileError, csv_table, has_decimal_comma
 from service.domain.alarm_guidance import AlarmName
 from service.domain.errors import BearingTwinError
 from service.domain.upload_limits import COLUMNS_MAX, too_large
@@ -58,7 +57,6 @@ _NUMBERS: Final = (
     "re_alarm_s",
     "allowable_response_time_s",
 )
-_COMMA = re.compile(r"-?\d+,\d+")
 _ROWS, _COMMENT = "rows", "comment"
 
 
@@ -137,7 +135,7 @@ def read_csv(content: bytes, cells_max: int | None = None) -> tuple[list[WantedR
 
 def _with_point(text: str) -> str:
     """Read a decimal comma, with which a spreadsheet saves where it saves semicolons too."""
-    return text.replace(",", ".") if _COMMA.fullmatch(text) else text
+    return text.replace(",", ".") if has_decimal_comma(text) else text
 
 
 def _check_header(columns: Sequence[str]) -> None:

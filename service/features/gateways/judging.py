@@ -7,10 +7,11 @@ from functools import partial
 from typing import Any
 
 from adapters.samples import Quality, Sample
+from adapters.words import shown
 from service.bus.pushed_samples import PushColumns, PushedSamples
 from service.documents.measurements import Rejected
 from service.domain.requests import PUSH_SOURCE
-from service.web.api.pushes import Judge, TooOldError, reject, shown
+from service.web.api.pushes import Judge, TooOldError, reject
 
 Channels = Callable[[str], Mapping[str, str] | None]
 """Gives the channels of an asset with their sources; None where it is not followed."""

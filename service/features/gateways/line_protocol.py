@@ -11,10 +11,11 @@ from typing import Any, Final
 from line_protocol_parser import LineFormatError, parse_line
 
 from adapters.samples import Quality, Sample
+from adapters.words import shown
 from service.domain.times import LATEST_US
 from service.features.gateways.judging import Channels, JudgedPush, unknown_asset
 from service.web.api.problems import Problem
-from service.web.api.pushes import Judge, finite_number, pushed_channel, shown
+from service.web.api.pushes import Judge, finite_number, pushed_channel
 
 #: Nanoseconds of a unit of time, by the names that InfluxDB's versions 1 and 2 give it.
 PRECISIONS: Final = {

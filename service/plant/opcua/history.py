@@ -40,7 +40,6 @@ _MOST_SPAN_US: Final = 7 * 24 * HOUR_US
 #: ... and so many long intervals.
 _MOST_LONG: Final = 500
 _SHORTEST_MS: Final = 1.0
-_LAST_US: Final = LATEST_US
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 _POINT: Final = struct.Struct("<q")
 
@@ -206,7 +205,7 @@ def _raw(details: ua.ReadRawModifiedDetails, wanted: _Wanted) -> _Page:
         found = found.taken(slice(None, None, -1))
     else:
         # The end does not belong to the span, but start = end is a span of one moment.
-        before_us = _LAST_US if end_us is None else max(end_us, start_us + 1)
+        before_us = LATEST_US if end_us is None else max(end_us, start_us + 1)
         begin_us = start_us if point_us is None else point_us
         found = store.samples(wanted.asset, wanted.channel, begin_us, before_us, most + 1)
     return _Page(
@@ -294,7 +293,7 @@ def _point(node: ua.HistoryReadValueId) -> int | None:
     if len(node.ContinuationPoint) != _POINT.size:
         raise _RefusedError(ua.StatusCodes.BadContinuationPointInvalid)
     (time_us,) = _POINT.unpack(node.ContinuationPoint)
-    if not 0 <= time_us < _LAST_US:
+    if not 0 <= time_us < LATEST_US:
         raise _RefusedError(ua.StatusCodes.BadContinuationPointInvalid)
     return int(time_us)
 

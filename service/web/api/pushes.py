@@ -16,6 +16,7 @@ from starlette.responses import Response
 
 from adapters.samples import Quality, Sample, is_bad
 from adapters.times import EARLIEST_US, POSSIBLE
+from adapters.words import shown
 from service.clock import MICROSECONDS, rfc3339
 from service.documents.measurements import Rejected
 from service.domain.errors import PushRefusedError
@@ -30,7 +31,6 @@ PUSH_PATIENCE_S = 10.0
 #: This many rejected samples of a push are answered with their reason, the others with a word.
 REASONS_MAX = 100
 _ONE_OF_MANY = f"also rejected; only the first {REASONS_MAX} give a reason"
-_SHOWN_CHARACTERS = 60
 #: This many samples are judged in less time than a thread takes to begin.
 _FEW = 200
 _BYTES_OF_A_SAMPLE = 80
@@ -247,12 +247,6 @@ def finite_number(raw: Any) -> float | None:
     if not math.isfinite(value):
         raise ValueError("value: expected a finite number or null")
     return value
-
-
-def shown(value: object) -> str:
-    """A wrong value, not at any length."""
-    text = repr(value[:_SHOWN_CHARACTERS] if isinstance(value, str) else value)
-    return text if len(text) <= 2 * _SHOWN_CHARACTERS else f"{text[:_SHOWN_CHARACTERS]}…"
 
 
 class PushRoute(APIRoute):

@@ -15,7 +15,7 @@ ASKED_FOR = {
     "audit.py": {"add"},
     "backup.py": {"_restore_sqlite"},
     "identity.py": {"confirm"},
-    "impossible_times.py": {"_remove", "remove"},
+    "impossible_times.py": {"_remove"},
     "nights/results.py": {"keep"},
     "nights/tables.py": {"save"},
     "provisioned_assets.py": {"change"},

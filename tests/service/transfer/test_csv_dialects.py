@@ -98,6 +98,14 @@ def german(tmp_path: Path, *rings: str) -> Path:
     return path
 
 
+@pytest.mark.parametrize("number", [",5", "-0,5", "1.041,5", "4,15E1", " 41,5 "])
+def test_a_decimal_comma_is_known_in_all_its_forms(tmp_path: Path, run: Run, number: str) -> None:
+    path = german(tmp_path, "40", number)
+    points = mapping(tmp_path, 'delimiter = ";"')
+    assert "a decimal comma; expected a " in run("import", path, "--mapping", points)[2]
+    assert stored(tmp_path) == []
+
+
 def test_of_a_file_with_decimal_commas_no_part_is_stored_unasked(tmp_path: Path, run: Run) -> None:
     path = german(tmp_path, "40", "41", "41,5")
     points = mapping(tmp_path, 'delimiter = ";"')
