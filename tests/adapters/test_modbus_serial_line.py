@@ -17,6 +17,7 @@ from adapters.drivers.modbus.serial_line import (
     SerialLine,
     SilenceError,
     find_answer,
+    holds_another_length,
     sealed,
 )
 
@@ -73,6 +74,25 @@ def test_an_answer_of_another_length_unit_or_function_is_none() -> None:
     assert find_answer(refused, asked) == (refused, 5)
 
 
+def test_an_answer_of_another_length_is_told_from_none() -> None:
+    longer = sealed(struct.pack(">BBBHH", UNIT, INPUT, 4, 1, 2))
+    shorter = sealed(struct.pack(">BBB", UNIT, INPUT, 0))
+    for heard in (longer, shorter, b"\xff" + longer + b"\0", request(9).frame + longer):
+        assert holds_another_length(heard, request(0))
+    for heard in (
+        b"",
+        answer(1),
+        answer(1)[:-1],
+        longer[:-1],
+        longer[:-1] + b"\x55",
+        answer(1, unit=2),
+        answer(1, function=3),
+        sealed(bytes((UNIT, INPUT | 0x80, 2))),
+        *(request(register).frame for register in range(0x0300, 0x0400)),  # echoes
+    ):
+        assert not holds_another_length(heard, request(0))
+
+
 def test_two_answers_are_none() -> None:
     with pytest.raises(DoubtError, match="more than one"):
         find_answer(answer(1) + answer(2), request(0))
@@ -115,6 +135,7 @@ class Device:
             "stranger's request": [request(register ^ 3).frame, reply],
             "stranger's exchange": [request(900).frame + answer(value_of(900)), reply],
             "other unit": [answer(value_of(901), unit=2) + reply],
+            "other length": [sealed(struct.pack(">BBBHH", unit, function, 4, 900, 901))],
             "noise": [b"\xff\x00" + reply + b"\x00"],
         }[what]
         for number, chunk in enumerate(chunks):
@@ -126,7 +147,8 @@ happenings = st.tuples(
     st.sampled_from(
         [
             "answer", "echo", "merged echo", "cut", "in pieces", "twice", "merged twice", "spoilt",
-            "lost", "stranger's request", "stranger's exchange", "other unit", "noise",
+            "lost", "stranger's request", "stranger's exchange", "other unit", "other length",
+            "noise",
         ]
     ),
     st.one_of(st.just(0.0), st.floats(0.0, 6.0)),

@@ -14,7 +14,7 @@ from typing import Self
 
 from adapters.backoff import Backoff
 from adapters.drivers.modbus.config import ModbusPlan, ModbusSource
-from adapters.drivers.modbus.groups import Group
+from adapters.drivers.modbus.groups import MISFIT, Group
 from adapters.drivers.modbus.link import DeviceRefusedError, Link, LinkLostError, NoAnswerError
 from adapters.drivers.modbus.mapping import PolledChannel, UnitMap, check, compile_units
 from adapters.drivers.modbus.plan import ImplausiblePlanError, decode_plan, read_rows
@@ -37,6 +37,10 @@ RECONNECT_FIRST_S = 0.2
 RECONNECT_LAST_S = 5.0
 SILENT_UNIT_LAST_S = 30.0  # between two tries of a dead unit while others are alive
 REFUSED_READ_S = 5.0  # before a read that the device refused as wrong is tried again
+REFUSED_SHARE = 0.05  # of the time at most is for such reads: on a line one lasts a time-out
+SEARCH_S = 2.0  # for the register that a read is refused for, before others have their turn
+# Exceptions that one register of a read can be the cause of.
+_OF_ONE_REGISTER = (2, 3, 4, MISFIT)
 PLAN_INTERVAL_S = 0.2
 PLAN_FAILED_FIRST_S = 5.0
 LOG_INTERVAL_S = 10.0  # between two lines on the same channel
@@ -67,6 +71,13 @@ class _Unit:
     @property
     def points(self) -> list[PolledChannel]:
         return [point for one in self.maps for point in one.points]
+
+    @property
+    def answers(self) -> bool:
+        """Whether the unit answers, and something that fits what it is asked for."""
+        points = self.points
+        fits = not points or any(point.reading.exception != MISFIT for point in points)
+        return fits and not self.silent
 
     @property
     def witness(self) -> UnitMap | None:
@@ -130,7 +141,7 @@ class ModbusDriver:
     def health(self) -> SourceHealth:
         """Give the state of the source."""
         health = self._health
-        health.up = not self._link_problem and any(not unit.silent for unit in self._units)
+        health.up = not self._link_problem and any(unit.answers for unit in self._units)
         problems = [self._link_problem] if self._link_problem else []
         problems += [f"unit {u.number}: {u.silent}" for u in self._units if u.silent]
         points = [point for unit in self._units for point in unit.points if point.problem]
@@ -310,6 +321,8 @@ class ModbusDriver:
         for point in points:
             time_us = point.reading.time_us
             value, quality, kind, reason = point.evaluate(time_us)
+            if kind == "misfit" and point.problem == reason:
+                continue  # the gap is marked
             if kind or point.problem:
                 self._note(point, quality, kind, reason)
             if not kind:
@@ -320,7 +333,7 @@ class ModbusDriver:
             samples.append(
                 make_sample((point.asset, point.channel, time_us, value, quality, time_us))
             )
-        self._health.samples += len(points)
+            self._health.samples += 1
 
     def _no_answer(self, unit: _Unit, reason: str, samples: list[Sample]) -> None:
         """Leave a unit out for a while and mark the gap in its channels."""
@@ -358,30 +371,38 @@ class ModbusDriver:
             part.join()
         waiting = deque(part.groups)
         groups: list[Group] = []
+        search_s = 0.0
         while waiting:
             group = waiting.popleft()
             if group.retry_at and time.monotonic() < group.retry_at:
                 group.repeat(self._clock.now_us())
                 groups.append(group)
                 continue
+            began = time.monotonic()
             try:
                 values = await self._link.read(group.kind, part.unit, group.start, group.count)
             except DeviceRefusedError as error:
-                halves = group.halves() if error.code in (2, 3) else None
-                if halves:
+                now = time.monotonic()
+                search_s += now - began
+                halves = group.halves() if error.code in _OF_ONE_REGISTER else None
+                if halves and search_s < SEARCH_S:
                     waiting.extendleft(reversed(halves))
                 else:
                     group.fail(error.code, self._clock.now_us())
-                    if error.code in (1, 2, 3):
-                        group.retry_at = time.monotonic() + REFUSED_READ_S
-                    groups.append(group)
+                    if not halves and (error.code == 1 or error.code in _OF_ONE_REGISTER):
+                        refused = 1 + sum(one.retry_at > 0.0 for one in (*groups, *waiting))
+                        wait_s = max(REFUSED_READ_S, refused * (now - began) / REFUSED_SHARE)
+                        group.retry_at = now + wait_s
+                    groups += halves or [group]
+                if not self._link.connected and not await self._connect():
+                    part.keep([*groups, *waiting])
+                    raise LinkLostError("connection lost") from error
             else:
+                group.retry_at = 0.0
                 group.store(values, self._clock.now_us())
                 groups.append(group)
             yield
-        if len(groups) > len(part.groups):
-            part.note_split()
-        part.groups = groups
+        part.keep(groups)
 
     def _note(self, point: PolledChannel, quality: int, kind: str, reason: str) -> None:
         """Count what is wrong with a channel, and log it when it changes."""

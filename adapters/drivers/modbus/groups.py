@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 
 from adapters.drivers.modbus.config import BIT_KINDS, BITS_PER_REGISTER, Kind, ModbusSource
 
+#: In place of the code of an exception: an answer that does not fit the request.
+MISFIT = 0x100
 REGISTER_GAP = 8  # unasked-for addresses that one request may bridge
 BIT_GAP = 64
 
@@ -45,7 +47,7 @@ class RegisterCell:
 
 @dataclass(slots=True)
 class RawReading:
-    """What the latest read of a cell gave: a raw number, or the code of the exception."""
+    """What the latest read of a cell gave: a number, the code of an exception, or `MISFIT`."""
 
     raw: float = math.nan
     exception: int = 0
@@ -100,7 +102,7 @@ class Group:
             reading.time_us = time_us
 
     def fail(self, exception: int, time_us: int) -> None:
-        """Note that the device refused the read."""
+        """Note that the read gave no values, and why."""
         for _, reading in self.cells:
             reading.exception = exception
             reading.time_us = time_us

@@ -16,9 +16,11 @@ from pymodbus.pdu import ModbusPDU
 
 from adapters import AdapterError
 from adapters.drivers.modbus.config import BIT_KINDS, Kind, ModbusRtuSource, ModbusSource
+from adapters.drivers.modbus.groups import MISFIT
 from adapters.drivers.modbus.serial_line import (
     AMBIGUOUS_BITS,
     DoubtError,
+    OtherLengthError,
     Request,
     SerialLine,
     SilenceError,
@@ -54,6 +56,14 @@ class DeviceRefusedError(AdapterError):
         super().__init__(f"exception {code:02X}")
         self.code = code
         self.busy = code in (5, 6)
+
+
+class MisfitError(DeviceRefusedError):
+    """The unit answered with another function or length than it was asked for."""
+
+    def __init__(self) -> None:
+        super().__init__(MISFIT)
+        self.args = ("the answer does not fit the request",)
 
 
 class WriteRefusedError(AdapterError):
@@ -179,7 +189,9 @@ class Link:
         """Read registers or bits.
 
         Raises `NoAnswerError`: no answer in time, or exception 0A or 0B; `LinkLostError`: the
-        connection broke and was dropped; `DeviceRefusedError`: any other exception response.
+        connection broke and was dropped; `DeviceRefusedError`: any other exception response;
+        `MisfitError`: another length or function, and if the answer may be one to an earlier
+        request, the connection was dropped.
         """
         if self._client is None:
             raise LinkLostError("not connected")
@@ -209,6 +221,9 @@ class Link:
             if garbage:
                 raise LinkLostError("answer is not Modbus") from error
             raise NoAnswerError(f"no answer within {self.timeout_s:g} s") from error
+        except OtherLengthError as error:
+            self.drop()
+            raise MisfitError from error
         except SilenceError as error:
             self.drop()
             raise NoAnswerError(str(error)) from error
@@ -226,11 +241,13 @@ class Link:
             raise DeviceRefusedError(code)
         function = _FUNCTION_CODES[kind]
         values: Sequence[int | bool]
-        values = response.bits[:count] if function in _BIT_FUNCTIONS else response.registers
-        if response.function_code != function or len(values) != count:
-            self.drop()
-            raise LinkLostError("answer does not fit the request")
-        return values
+        values = response.bits if function in _BIT_FUNCTIONS else response.registers
+        size = -(-count // 8) * 8 if function in _BIT_FUNCTIONS else count
+        if response.function_code != function or len(values) != size:
+            if not response.transaction_id:  # simple devices do not return it
+                self.drop()
+            raise MisfitError
+        return values[:count]
 
     @staticmethod
     async def _ask_line(

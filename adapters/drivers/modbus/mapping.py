@@ -19,6 +19,7 @@ from adapters.drivers.modbus.config import (
     data_sheet_hint,
 )
 from adapters.drivers.modbus.groups import (
+    MISFIT,
     Group,
     RawReading,
     RegisterCell,
@@ -126,7 +127,7 @@ class PolledChannel:
         return math.nan, int(quality), kind, reason
 
     def _refused(self, code: int, time_us: int) -> tuple[float, int, str, str]:
-        kind = f"exception_{code:02x}"
+        kind = f"exception_{code:02x}" if code != MISFIT else "misfit"
         if code in (5, 6):  # acknowledged but not ready, busy: the device keeps its old value
             if not self.last_good_us:
                 reason = "device busy, no value yet"
@@ -135,16 +136,19 @@ class PolledChannel:
                 return self._bad(Quality.COMM_FAILURE, kind, "device busy for too long")
             return self.last_good, int(Quality.LAST_USABLE), kind, "device busy, last value kept"
         config = self.config
-        where = f"register {config.address} ({config.kind}, unit {self.unit})"
+        address, table, what = config.address, config.kind, "register"
+        if not self.reading.exception and config.status is not None:
+            address, table = config.status.address, config.status.kind or config.kind
+            what = "status register"
+        where = f"{what} {address} ({table}, unit {self.unit})"
+        if code == MISFIT:
+            reason = f"{where}: the answer has another length or function than was asked for"
+            return self._bad(Quality.COMM_FAILURE, kind, reason)
         if code == 1:
             return self._bad(
                 Quality.CONFIG_ERROR, kind, f"{where} cannot be read: illegal function"
             )
         if code == 2:
-            address, table = config.address, config.kind
-            if not self.reading.exception and config.status is not None:
-                address, table = config.status.address, config.status.kind or config.kind
-                where = f"status register {address} (unit {self.unit})"
             hint = data_sheet_hint(address, table)
             reason = f"{where} does not exist: illegal data address{hint and '; ' + hint}"
             return self._bad(Quality.CONFIG_ERROR, kind, reason)
@@ -168,9 +172,11 @@ class UnitMap:
     join_at: float = 0.0  # wall (monotonic) time at which what was split may be read together again
     join_backoff: Backoff = field(default_factory=lambda: Backoff(JOIN_FIRST_S, JOIN_LAST_S))
 
-    def note_split(self) -> None:
-        """Remember that a group was split, and when to try it whole again."""
-        self.join_at = time.monotonic() + self.join_backoff.next()
+    def keep(self, groups: list[Group]) -> None:
+        """Read by these groups from now on; what was split is tried whole again later."""
+        if len(groups) > len(self.groups):
+            self.join_at = time.monotonic() + self.join_backoff.next()
+        self.groups = groups
 
     def join(self) -> None:
         """Read together again what was split, if the device refuses nothing now."""

@@ -36,6 +36,10 @@ class SilenceError(Exception):
     """No answer came in time."""
 
 
+class OtherLengthError(SilenceError):
+    """In time came only what has another length than the answer."""
+
+
 class DoubtError(Exception):
     """What came may be the answer to another request."""
 
@@ -202,6 +206,8 @@ class SerialLine:
                         raise ConnectionError("connection lost")
                     await self._more.wait()
         except TimeoutError:
+            if holds_another_length(bytes(self._heard), request):
+                raise OtherLengthError("an answer of another length came") from None
             raise SilenceError(f"no answer within {self._timeout_s:g} s") from None
 
     async def _hear_no_other(self, request: Request) -> None:
@@ -241,6 +247,21 @@ def find_answer(heard: bytes, request: Request) -> tuple[bytes, int] | None:
             raise DoubtError("another master asks this unit")
         begin += 1
     return None
+
+
+def holds_another_length(heard: bytes, request: Request) -> bool:
+    """Whether a sound answer of this unit and function was heard that has another length.
+
+    One that is as long as a request may be one, of another master or an echo.
+    """
+    form = request.form
+    for begin in range(len(heard) - _AROUND_SIZE + 1):
+        if heard.startswith(form, begin):
+            size = _AROUND_SIZE + heard[begin + len(form)]
+            is_other = heard[begin + len(form)] != request.data_size and size != _REQUEST_SIZE
+            if is_other and _is_sound(heard[begin : begin + size], size):
+                return True
+    return False
 
 
 def sealed(body: bytes) -> bytes:

@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 from integration.adapters.modbus_device import Device
 from pymodbus.constants import ExcCodes
+from pymodbus.framer.rtu import FramerRTU
 from pymodbus.server import ModbusTcpServer
 
 from adapters.samples import PlanStep, Quality
@@ -109,6 +110,21 @@ async def test_a_register_that_does_not_exist_does_not_blind_the_others(
         "source s: channel bench/t_inner_ring_c: register 9 (input, unit 1) does not exist: "
         "illegal data address"
     ]
+
+
+async def test_a_device_failure_of_one_register_does_not_blind_the_others(
+    device: Device, source: dict[str, Any], drive: Callable[..., Any]
+) -> None:
+    device.exceptions[1, 3] = ExcCodes.DEVICE_FAILURE  # what some devices say of a gap
+    channels = {f"t_node_{i + 1}_c": temperature(i) for i in range(6)}
+    async with drive(source, channels) as record:
+        await record.until(lambda: record.driver.health().polls >= 10)
+        for i in (0, 1, 2, 4, 5):
+            assert set(record.qualities(f"t_node_{i + 1}_c")) == {GOOD}
+        assert set(record.qualities("t_node_4_c")) == {int(Quality.DEVICE_FAILURE)}
+        assert record.driver.health().up
+        device.exceptions.clear()
+        await record.until(lambda: record.qualities("t_node_4_c")[-1] == GOOD)
 
 
 async def test_busy_keeps_the_last_value_as_uncertain_and_never_becomes_zero(
@@ -385,6 +401,73 @@ async def test_a_server_that_closes_after_every_answer_costs_no_sample(
     async with drive(source, {"c": {"register": 0}}) as record:
         await record.until(lambda: len(record.samples) >= 10)
         assert set(record.qualities("c")) == {GOOD}
+
+
+def rtu(body: bytes) -> bytes:
+    return body + FramerRTU.compute_CRC(body).to_bytes(2, "big")
+
+
+@pytest.mark.parametrize("framing", ["tcp", "tcp without transaction numbers", "rtu"])
+async def test_an_answer_of_another_length_costs_its_register_and_not_its_unit(
+    framing: str, raw_server: list[Any], source: dict[str, Any], drive: Callable[..., Any]
+) -> None:
+    is_odd = True
+
+    def registers_from(start: int, count: int) -> range:
+        odd = is_odd and start <= 3 < start + count
+        return range(start, start + count - odd)
+
+    def answer(number: int, request: bytes) -> bytes:
+        if framing == "rtu":
+            unit, function, start, count = struct.unpack(">BBHH", request[:6])
+            if function != 3:
+                return rtu(bytes((unit, function | 0x80, 1)))
+            values = registers_from(start, count)
+            size = len(values)
+            return rtu(struct.pack(f">BBB{size}H", unit, function, 2 * size, *values))
+        values = registers_from(*struct.unpack(">HH", request[8:12]))
+        complete = registers_answer(request, *values)
+        return complete if framing == "tcp" else b"\0\0" + complete[2:]
+
+    raw_server[0] = answer
+    if framing == "rtu":
+        source |= {"framing": "rtu", "timeout_s": 0.3}
+    channels = {f"c{i}": {"register": i} for i in range(6)}
+    async with drive(source, channels) as record:
+        await record.until(lambda: record.driver.health().polls >= 10)
+        for name in ("c0", "c1", "c2", "c4", "c5"):
+            assert set(record.qualities(name)) == {GOOD}
+            assert {one.value for one in record.of(name)} == {float(name[1:])}
+        assert record.qualities("c3") == [COMM], "the gap is marked once"
+        health = record.driver.health()
+        assert health.up
+        assert health.detail == (
+            "bench/c3: register 3 (holding, unit 1): the answer has another length or function "
+            "than was asked for"
+        )
+        if framing == "tcp":
+            assert health.reconnects == 0
+        is_odd = False
+        await record.until(lambda: record.qualities("c3")[-1] == GOOD)
+        assert record.of("c3")[-1].value == 3.0
+        assert record.driver.health().detail == "ok"
+
+
+async def test_bits_of_another_length_are_none(
+    raw_server: list[Any], source: dict[str, Any], drive: Callable[..., Any]
+) -> None:
+    sent = b"\x01\x01"
+
+    def answer(number: int, request: bytes) -> bytes:
+        payload = request[6:8] + bytes((len(sent),)) + sent
+        return request[:4] + struct.pack(">H", len(payload)) + payload
+
+    raw_server[0] = answer
+    async with drive(source, {"c": {"register": 0, "kind": "coil"}}) as record:
+        await record.until(lambda: record.samples)
+        assert record.qualities("c") == [COMM]
+        sent = b"\x01"
+        await record.until(lambda: record.samples[-1].value == 1.0)
 
 
 def byte_count_lies(request: bytes) -> bytes:
