@@ -37,8 +37,10 @@ RECONNECT_FIRST_S = 0.2
 RECONNECT_LAST_S = 5.0
 SILENT_UNIT_LAST_S = 30.0  # between two tries of a dead unit while others are alive
 REFUSED_READ_S = 5.0  # before a read that the device refused as wrong is tried again
-REFUSED_SHARE = 0.05  # of the time at most is for such reads: on a line one lasts a time-out
+REFUSED_SHARE = 0.05  # of the time at most is for such reads
 SEARCH_S = 2.0  # for the register that a read is refused for, before others have their turn
+# On a line an answer of another length costs a time-out, and the next read listens for three.
+_MISFIT_COST = 4.0
 # Exceptions that one register of a read can be the cause of.
 _OF_ONE_REGISTER = (2, 3, 4, MISFIT)
 PLAN_INTERVAL_S = 0.2
@@ -76,7 +78,7 @@ class _Unit:
     def answers(self) -> bool:
         """Whether the unit answers, and something that fits what it is asked for."""
         points = self.points
-        fits = not points or any(point.reading.exception != MISFIT for point in points)
+        fits = not points or any(point.refusal != MISFIT for point in points)
         return fits and not self.silent
 
     @property
@@ -269,6 +271,9 @@ class ModbusDriver:
         try:
             if not await link.connect() or not await _answers(link, witness):
                 return _Probe.NO_SECOND_CONNECTION
+            # An answer that does not fit costs the connection.
+            if not link.connected and not await link.connect():
+                return _Probe.NO_SECOND_CONNECTION
             return _Probe.ANSWERS if await _answers(link, unit) else _Probe.STILL_SILENT
         finally:
             link.drop()
@@ -374,7 +379,7 @@ class ModbusDriver:
         search_s = 0.0
         while waiting:
             group = waiting.popleft()
-            if group.retry_at and time.monotonic() < group.retry_at:
+            if group.retry_at and (time.monotonic() < group.retry_at or search_s > SEARCH_S):
                 group.repeat(self._clock.now_us())
                 groups.append(group)
                 continue
@@ -382,27 +387,39 @@ class ModbusDriver:
             try:
                 values = await self._link.read(group.kind, part.unit, group.start, group.count)
             except DeviceRefusedError as error:
-                now = time.monotonic()
-                search_s += now - began
+                connected = self._link.connected or await self._connect()
+                cost_s = time.monotonic() - began
+                search_s += cost_s
+                cost_s *= _MISFIT_COST if error.code == MISFIT else 1.0
                 halves = group.halves() if error.code in _OF_ONE_REGISTER else None
                 if halves and search_s < SEARCH_S:
                     waiting.extendleft(reversed(halves))
                 else:
                     group.fail(error.code, self._clock.now_us())
                     if not halves and (error.code == 1 or error.code in _OF_ONE_REGISTER):
-                        refused = 1 + sum(one.retry_at > 0.0 for one in (*groups, *waiting))
-                        wait_s = max(REFUSED_READ_S, refused * (now - began) / REFUSED_SHARE)
-                        group.retry_at = now + wait_s
+                        refused = 1 + self._refused_elsewhere(part)
+                        refused += sum(one.retry_at > 0.0 for one in (*groups, *waiting))
+                        wait_s = max(REFUSED_READ_S, refused * cost_s / REFUSED_SHARE)
+                        group.retry_at = time.monotonic() + wait_s
                     groups += halves or [group]
-                if not self._link.connected and not await self._connect():
+                if not connected:
                     part.keep([*groups, *waiting])
                     raise LinkLostError("connection lost") from error
             else:
-                group.retry_at = 0.0
+                if group.retry_at:  # what was wrong with it is over, perhaps with others as well
+                    group.retry_at = 0.0
+                    following = next((one for one in (*waiting, *groups) if one.retry_at), None)
+                    if following is not None:
+                        following.retry_at = min(following.retry_at, began)
                 group.store(values, self._clock.now_us())
                 groups.append(group)
             yield
         part.keep(groups)
+
+    def _refused_elsewhere(self, part: UnitMap) -> int:
+        """Count the refused reads of the source but for those of a part."""
+        parts = [one for unit in self._units for one in unit.maps if one is not part]
+        return sum(group.retry_at > 0.0 for one in parts for group in one.groups)
 
     def _note(self, point: PolledChannel, quality: int, kind: str, reason: str) -> None:
         """Count what is wrong with a channel, and log it when it changes."""
@@ -436,11 +453,13 @@ class ModbusDriver:
                             yield
                     steps = decode_plan(registers, config.word_order)
                 except (NoAnswerError, LinkLostError, DeviceRefusedError) as error:
-                    problem = f"plan of {binding.asset}: {error}"
+                    problem = problem or f"plan of {binding.asset}: {error}"
                     if not (isinstance(error, DeviceRefusedError) and error.busy):
                         self._plans_due = time.monotonic() + self._plan_backoff.next()
+                    if not self._link.connected and not await self._connect():
+                        break
                 except ImplausiblePlanError as error:
-                    problem = f"plan of {binding.asset}: implausible {error}"
+                    problem = problem or f"plan of {binding.asset}: implausible {error}"
                 else:
                     plans.append(PlannedProfile(binding.asset, self._clock.now_us(), steps))
         if problem:

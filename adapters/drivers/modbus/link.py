@@ -109,6 +109,7 @@ class Link:
         self._reads: dict[Kind, Callable[..., Awaitable[ModbusPDU]]] = {}
         self._waiting = False
         self._garbage = False
+        self._is_odd = False  # registers of a length that no number of them has
         self._free_at = 0.0  # wall (monotonic) time from which the next request may go out
         self._line: SerialLine | None = None
         if isinstance(source, ModbusRtuSource):
@@ -201,7 +202,7 @@ class Link:
             return [*first, *await self.read(kind, unit, address + most, count - most)]
         if (wait_s := self._free_at - time.monotonic()) > 0.0:
             await asyncio.sleep(wait_s)
-        self._waiting = True
+        self._waiting, self._is_odd = True, False
         try:
             if self._line is None:
                 response = await self._reads[kind](address, count=count, device_id=unit)
@@ -241,9 +242,14 @@ class Link:
             raise DeviceRefusedError(code)
         function = _FUNCTION_CODES[kind]
         values: Sequence[int | bool]
-        values = response.bits if function in _BIT_FUNCTIONS else response.registers
-        size = -(-count // 8) * 8 if function in _BIT_FUNCTIONS else count
-        if response.function_code != function or len(values) != size:
+        if function in _BIT_FUNCTIONS:
+            values, size = response.bits, -(-count // 8) * 8
+            # Some devices send whole words; only a transaction number says whose they are.
+            fits = len(values) == size or (len(values) > size and response.transaction_id)
+        else:
+            values = response.registers
+            fits = len(values) == count and not self._is_odd
+        if response.function_code != function or not fits:
             if not response.transaction_id:  # simple devices do not return it
                 self.drop()
             raise MisfitError
@@ -278,6 +284,7 @@ class Link:
             sound = length <= 3  # 2 by a counting error that some devices have
         else:
             sound = function in _FUNCTION_CODES.values() and data[8] == length - 3
+            self._is_odd = function not in _BIT_FUNCTIONS and data[8] % 2 == 1
         if sound:
             return data
         self._garbage = True

@@ -82,6 +82,11 @@ class PolledChannel:
         self.valid_range = self.config.valid_range
 
     @property
+    def refusal(self) -> int:
+        """Why the device gave no value or no status: the code of an exception, `MISFIT`, or 0."""
+        return self.reading.exception or (self.status.exception if self.status else 0)
+
+    @property
     def label(self) -> str:
         """The channel's full name for messages."""
         return f"{self.asset}/{self.channel}"

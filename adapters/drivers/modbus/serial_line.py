@@ -37,7 +37,7 @@ class SilenceError(Exception):
 
 
 class OtherLengthError(SilenceError):
-    """In time came only what has another length than the answer."""
+    """In time came no answer, but one of another length."""
 
 
 class DoubtError(Exception):
