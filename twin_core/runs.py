@@ -62,7 +62,11 @@ def find_runs(stretches: Iterable[Stretch], now_s: int) -> list[RunSpan]:
 
     for stretch in stretches:
         if not stretch.turns:
-            stood = stood or begin_s is not None
+            if begin_s is not None and not stood and stretch.begin_s - last_s > GAP_S:
+                # What is seen so late does not change how it ended.
+                add(begin_s, "no data")
+                begin_s = None
+            stood = begin_s is not None
             continue
         if begin_s is not None and (how := ended(stretch.begin_s)):
             add(begin_s, how)
