@@ -2,7 +2,7 @@
 
 import ssl
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from email import message_from_bytes
@@ -29,6 +29,8 @@ class Mailbox:
     ca_file: Path
     answers: dict[str, list[str]] = field(default_factory=dict)
     got: list[tuple[list[str], Message]] = field(default_factory=list)
+    judge: Callable[[Message], str] | None = None  # gives the answer to a text
+    options: dict[str, Any] = field(default_factory=dict)
 
     async def handle_RCPT(  # noqa: N802
         self, server: Any, session: Session, envelope: Envelope, address: str, options: list[str]
@@ -44,8 +46,11 @@ class Mailbox:
     ) -> str:
         content = envelope.content
         assert isinstance(content, bytes)
-        self.got.append((list(envelope.rcpt_tos), message_from_bytes(content, policy=default)))
-        return "250 taken"
+        message = message_from_bytes(content, policy=default)
+        answer = "250 taken" if self.judge is None else self.judge(message)
+        if answer.startswith("250"):
+            self.got.append((list(envelope.rcpt_tos), message))
+        return answer
 
 
 @pytest.fixture
@@ -71,6 +76,7 @@ def mailbox(tmp_path: Path) -> Iterator[Mailbox]:
         auth_required=True,
         authenticator=judge,
     )
+    box.options = controller.SMTP_kwargs
     controller.start()
     yield box
     controller.stop()
@@ -79,11 +85,12 @@ def mailbox(tmp_path: Path) -> Iterator[Mailbox]:
 
 @dataclass
 class Hook:
-    """An HTTP receiver; `refusals` are the answers to the next posts, then it takes all."""
+    """An HTTP receiver; `refusals` are the answers to the next posts, then `judge` or all."""
 
     server: ThreadingHTTPServer
     refusals: list[int] = field(default_factory=list)
     posts: list[tuple[int, dict[str, str], bytes]] = field(default_factory=list)
+    judge: Callable[[bytes], int] | None = None  # gives the answer to a body
 
     @property
     def url(self) -> str:
@@ -102,6 +109,8 @@ def running_hook() -> Iterator[Hook]:
         def do_POST(self) -> None:
             body = self.rfile.read(int(self.headers["content-length"]))
             status = found.refusals.pop(0) if found.refusals else 204
+            if found.judge is not None:
+                status = found.judge(body)
             headers = {name.lower(): value for name, value in self.headers.items()}
             found.posts.append((status, headers, body))
             self.send_response(status)

@@ -16,6 +16,7 @@ EventKind = Literal[
     "asset followed again",
     "change not taken",
     "configuration not used",
+    "notification refused",
 ]
 """What is worth a line in the journal, but needs no response of an operator."""
 Priority = Literal[1, 2, 3]

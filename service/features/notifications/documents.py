@@ -36,6 +36,11 @@ class NotificationDocument(Document):
         description="What was wrong last, also with one of several addresses.",
         examples=["mail.example.com:587: Connection refused"],
     )
+    given_up: int = Field(
+        ge=0,
+        description="Alarms of which the receiver refused a message for good, since the start; the "
+        "journal names them.",
+    )
 
 
 class NotificationList(Page):

@@ -29,6 +29,8 @@ class NotificationState(msgspec.Struct, frozen=True, array_like=True):
         How many these are.
     error
         What was wrong last; also what was refused for some of several receivers.
+    given_up
+        Alarms with events that the receiver refused for good, since the start.
     """
 
     id: str
@@ -38,6 +40,7 @@ class NotificationState(msgspec.Struct, frozen=True, array_like=True):
     failing_since_us: int | None = None
     tries: int = 0
     error: str = ""
+    given_up: int = 0
 
 
 def merged(answers: Iterable[Sequence[NotificationState]]) -> list[NotificationState]:
@@ -60,6 +63,7 @@ def _together(one: NotificationState, other: NotificationState) -> NotificationS
         failing_since_us=min(since, default=None),
         tries=worse.tries,
         error=worse.error,
+        given_up=one.given_up + other.given_up,
     )
 
 

@@ -59,9 +59,13 @@ class OutgoingMessage:
     @property
     def id(self) -> str:
         """The same for the same events, so that a recipient drops repetitions."""
-        names = [f"{one.alarm.id}:{event}" for one in self.items for event in one.events]
-        text = "\n".join([self.section_id, *(names or ["test", self.who, str(wall_us())])])
+        text = "\n".join([self.section_id, *(self.event_ids or ["test", self.who, str(wall_us())])])
         return hashlib.sha256(text.encode()).hexdigest()[:32]
+
+    @property
+    def event_ids(self) -> list[str]:
+        """By which a recipient knows an event again."""
+        return [f"{one.alarm.id}:{event}" for one in self.items for event in one.events]
 
     def document(self, message_id: str) -> NotificationMessage:
         """Give the body of a webhook."""

@@ -5,6 +5,7 @@ import math
 import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import structlog
@@ -17,7 +18,7 @@ from service.features.notifications import rules
 from service.features.notifications.interface import NotificationState
 from service.features.notifications.messages import Item, OutgoingMessage
 from service.features.notifications.sections import NotificationSection
-from service.features.notifications.sender import DeliveryError, Sender
+from service.features.notifications.sender import ContentRefusedError, DeliveryError, Sender
 from service.features.notifications.tables import Notification
 from service.pauses import Steps
 
@@ -30,6 +31,11 @@ RETRY_FIRST_S: Final = 2.0
 RETRY_LAST_S: Final = 300.0
 #: Tries in a row that fail before the notification counts as failing.
 FAILS_AFTER: Final = 3
+#: Tries and wall seconds after which is given up what a receiver refuses that accepts nothing.
+REFUSALS: Final = 3
+REFUSED_FOR_S: Final = 600.0
+#: Wall seconds between two tries of what was refused alone, at most.
+REFUSED_LAST_S: Final = 60.0
 #: Alarms in one message.
 MOST_ITEMS: Final = 200
 
@@ -41,6 +47,7 @@ class DeliveryRecord:
 
     - ``tries``: how many have failed in a row.
     - ``error``: of the last one that failed, or what is wrong with some addresses.
+    - ``given_up``: alarms of which a message was refused for good.
     """
 
     def __init__(self, id: str) -> None:
@@ -48,6 +55,7 @@ class DeliveryRecord:
         self.error = ""
         self.failing_since_us: int | None = None
         self.sent_us: int | None = None
+        self.given_up = 0
         self._id = id
 
     def accept(self, error: str) -> None:
@@ -65,10 +73,32 @@ class DeliveryRecord:
         if self.tries == FAILS_AFTER:
             _log.error("notification_fails", notification=self._id, reason=error)
 
+    def give_up(self, error: str) -> None:
+        """Note that what is said of an alarm is not sent any more."""
+        self.given_up += 1
+        self.error = error
+
     @property
     def problem(self) -> str | None:
         """What is wrong with it, if it has failed several times in a row."""
         return None if self.tries < FAILS_AFTER else f"notification {self._id} fails: {self.error}"
+
+
+@dataclass(slots=True)
+class Refusal:
+    """Events of an alarm that a receiver has refused although they came alone.
+
+    - ``accepted``: messages that were accepted before it was refused first, with others or alone.
+    - ``is_final``: whether the same message is of no use later either.
+    - ``first_at``, ``last_at``: wall (monotonic) times of its tries.
+    """
+
+    events: tuple[str, ...]
+    accepted: int
+    is_final: bool
+    first_at: float
+    last_at: float = 0.0
+    tries: int = 0
 
 
 class NotificationQueue:
@@ -88,6 +118,8 @@ class NotificationQueue:
         Gets notifications that have changed, to be written.
     silencing : callable
         Gives what says which assets are silenced.
+    give_up : callable
+        Gets what the receiver refuses for good, and why.
 
     Attributes
     ----------
@@ -105,6 +137,7 @@ class NotificationQueue:
         name_of: Callable[[str], str],
         keep: Callable[[Iterable[Notification]], None],
         silencing: Callable[[], Silencing],
+        give_up: Callable[[Item, str], None],
     ) -> None:
         self.section = section
         self.notifications: dict[str, Notification] = {}
@@ -114,9 +147,20 @@ class NotificationQueue:
         self._name_of = name_of
         self._keep = keep
         self._silencing = silencing
+        self._give_up = give_up
         self._wake = asyncio.Event()
         self._last_s = -math.inf
+        # What could not be sent before, and what is urgent of what came since.
         self._batch: list[Item] = []
+        self._urgent: list[Item] = []
+        self._most = MOST_ITEMS
+        self._refusals: dict[str, Refusal] = {}
+        # Messages that had been accepted when an alarm was first in one that was refused.
+        self._suspects: dict[str, int] = {}
+        # Wall (monotonic) time from which one of them may be tried again.
+        self._refused_from = -math.inf
+        self._refused_backoff = Backoff(RETRY_FIRST_S, REFUSED_LAST_S)
+        self._accepted = 0
         # As they are now, also those that are over since.
         self._under_way: dict[str, Notification] = {}
         self.delivery = DeliveryRecord(section.id)
@@ -137,6 +181,8 @@ class NotificationQueue:
             self._wake.set()
         else:
             self._pending.pop(alarm_id, None)
+            self._refusals.pop(alarm_id, None)
+            self._suspects.pop(alarm_id, None)
         return before is None or _progress(before) != _progress(notification)
 
     def forget(self, assets: Iterable[str]) -> None:
@@ -145,6 +191,8 @@ class NotificationQueue:
         for kept in (self.notifications, self._pending, self._under_way):
             for alarm_id in [id for id, one in kept.items() if one.alarm.asset in gone]:
                 del kept[alarm_id]
+        self._refusals = {id: one for id, one in self._refusals.items() if id in self._pending}
+        self._suspects = {id: one for id, one in self._suspects.items() if id in self._pending}
 
     def look(self) -> None:
         """Wake up: time has passed, and what was held back may be due."""
@@ -165,6 +213,7 @@ class NotificationQueue:
             failing_since_us=self.delivery.failing_since_us,
             tries=self.delivery.tries,
             error=self.delivery.error,
+            given_up=self.delivery.given_up,
         )
 
     # ------------------------------------------------------------------ sending
@@ -173,7 +222,7 @@ class NotificationQueue:
         backoff = Backoff(RETRY_FIRST_S, RETRY_LAST_S)
         try:
             while True:
-                while not await self._due(1):
+                while not (await self._due(1) or self._refused_and_due()):
                     await self._woken()
                 await asyncio.sleep(GATHER_S)
                 while time.monotonic() < await self._free_s():
@@ -205,7 +254,7 @@ class NotificationQueue:
         items: list[Item] = []
         for notification in list(self._pending.values()):
             item = Item(notification, rules.due(notification, silencing, now_us))
-            if item.events and is_asked(item):
+            if item.events and is_asked(item) and not self._is_refused(item):
                 items.append(item)
                 if len(items) == most:
                     break
@@ -214,48 +263,160 @@ class NotificationQueue:
         # What has changed meanwhile wakes its reader.
         return [item for item in items if self._pending.get(item.alarm.id) is item.notification]
 
+    def _is_refused(self, item: Item) -> bool:
+        refusal = self._refusals.get(item.alarm.id)
+        return refusal is not None and refusal.events == item.events
+
+    def _refused_and_due(self) -> list[Item]:
+        """Give what was refused alone and not tried for the longest time, to be tried alone."""
+        if time.monotonic() < self._refused_from:
+            return []
+        now_us, silencing = self._clock.now_us(), self._silencing()
+        for alarm_id in sorted(self._refusals, key=lambda id: self._refusals[id].last_at):
+            notification = self._pending[alarm_id]
+            item = Item(notification, rules.due(notification, silencing, now_us))
+            if self._is_refused(item):
+                return [item]
+        return []
+
     async def _next_batch(self) -> list[Item]:
-        """What goes out next: what could not be sent before, as long as all of it is pending."""
-        due = await self._due(MOST_ITEMS)
+        """What goes out next: what could not be sent before, as long as all of it is pending.
+
+        What is urgent and came since goes before that.
+        """
+        urgent: list[Item] = []
+        if self._batch:
+            known = {item.alarm.id for item in self._batch}
+            urgent = await self._due(
+                self._most, lambda item: _is_urgent(item) and item.alarm.id not in known
+            )
+        due = await self._due(self._most)
+        # Nothing waits from here on until it is under way, so that no change is missed.
+        self._batch = self._still_due(self._batch)
+        self._urgent = self._still_due(self._urgent)
+        if self._batch and not self._urgent:
+            self._urgent = [
+                one for one in urgent if self._pending.get(one.alarm.id) is one.notification
+            ]
+        if self._urgent:
+            return self._urgent
+        self._batch = self._batch or due or self._refused_and_due()
+        return self._batch
+
+    def _still_due(self, batch: Sequence[Item]) -> list[Item]:
+        """Give a batch as it is now; nothing if not all of it is to be sent any more."""
         now_us, silencing = self._clock.now_us(), self._silencing()
         again = []
-        for item in self._batch:
+        for item in batch:
             notification = self._pending.get(item.alarm.id)
             if notification and set(item.events) <= set(rules.due(notification, silencing, now_us)):
                 again.append(Item(notification, item.events))
-        if not again or len(again) < len(self._batch):
-            again = due
-        self._batch = again
-        return again
+        return again if len(again) == len(batch) else []
 
     async def _send(self, items: Sequence[Item]) -> bool:
+        """Send a message; gives whether to go on at once."""
         message = OutgoingMessage(self.section.id, items, self._name_of)
         self._under_way = {item.alarm.id: item.notification for item in items}
         try:
-            error = await self._sender.send(message) or ""
-        except DeliveryError as refusal:
-            self.delivery.fail(str(refusal))
+            detail = await self._sender.send(message) or ""
+        except ContentRefusedError as error:
+            return await self._divide(items, error)
+        except DeliveryError as error:
+            self.delivery.fail(str(error))
             return False
         except Exception as unexpected:
             # Whatever it was: it is tried again, and the service goes on.
             _log.exception("notification_failed", notification=self.section.id)
-            self.delivery.fail(type(unexpected).__name__)
-            return False
-        self.delivery.accept(error)
+            refused = ContentRefusedError(type(unexpected).__name__, is_final=False)
+            return await self._divide(items, refused)
+        self.delivery.accept(detail)
         self.delivery.sent_us, self._last_s = wall_us(), time.monotonic()
-        self._batch = []
+        self._accepted += 1
+        self._refused_backoff.reset()
+        self._refused_from = -math.inf
+        self._most = min(MOST_ITEMS, 2 * self._most)
+        if items[0].alarm.id in self._refusals:
+            # It takes what it did not: what else it could not take goes out together again.
+            self._refusals = {id: one for id, one in self._refusals.items() if one.is_final}
+        self._put_instead(items, [])
+        self._finish(items, rules.sent)
+        _log.info("notification_sent", notification=self.section.id, alarms=len(items))
+        return True
+
+    def _finish(
+        self,
+        items: Sequence[Item],
+        outcome: Callable[[Notification, Sequence[str]], Notification],
+    ) -> None:
+        """Keep what has become of notifications that were under way."""
         changed = []
         for item in items:
             # It may have changed while the message was under way, or be another cell's.
             current = self._under_way.pop(item.alarm.id, None)
             if current is not None:
-                notification = rules.sent(current, item.events)
+                notification = outcome(current, item.events)
+                self._refusals.pop(item.alarm.id, None)
+                self._suspects.pop(item.alarm.id, None)
                 self.put(notification)
                 changed.append(notification)
         self._under_way = {}
         self._keep(changed)
-        _log.info("notification_sent", notification=self.section.id, alarms=len(items))
+
+    async def _divide(self, items: Sequence[Item], error: ContentRefusedError) -> bool:
+        """Halve what a receiver refuses, down to one alarm, and go on.
+
+        One alone waits while others are sent. If the refusal is final, it is given up when it is
+        refused again although the receiver has accepted others since, or for too long.
+        """
+        if len(items) > 1:
+            self._most = len(items) // 2
+            self._put_instead(items, items[: self._most])
+            for item in items:
+                if item.alarm.id in self._pending:
+                    self._suspects.setdefault(item.alarm.id, self._accepted)
+            return True
+        (item,) = items
+        self._put_instead(items, [])
+        if item.alarm.id not in self._pending:  # shelved, say, while it was under way
+            return True
+        refusal = self._refusals.get(item.alarm.id)
+        if refusal is None or refusal.events != item.events:
+            accepted = self._suspects.get(item.alarm.id, self._accepted)
+            refusal = Refusal(item.events, accepted, error.is_final, time.monotonic())
+        refusal.tries += 1
+        refusal.last_at = time.monotonic()
+        is_odd = refusal.tries > 1 and self._accepted > refusal.accepted
+        is_too_long = (
+            refusal.tries >= REFUSALS and refusal.last_at - refusal.first_at >= REFUSED_FOR_S
+        )
+        if error.is_final and (is_odd or is_too_long):
+            self._drop(item, str(error))
+        else:
+            self._refusals[item.alarm.id] = refusal
+            self.delivery.fail(str(error))
+        self._refused_from = time.monotonic() + self._refused_backoff.next()
+        await asyncio.sleep(RETRY_FIRST_S)
         return True
+
+    def _put_instead(self, items: Sequence[Item], left: Sequence[Item]) -> None:
+        """Keep what is left of the batch that was under way."""
+        if items is self._urgent:
+            self._urgent = list(left)
+        else:
+            self._batch = list(left)
+
+    def _drop(self, item: Item, error: str) -> None:
+        """Give up what is said of an alarm, and say so."""
+        self.delivery.give_up(error)
+        _log.error(
+            "notification_given_up",
+            notification=self.section.id,
+            alarm=item.alarm.id,
+            events=list(item.events),
+            reason=error,
+        )
+        self._give_up(item, error)
+        self._finish([item], rules.not_taken)
 
 
 def _is_urgent(item: Item) -> bool:

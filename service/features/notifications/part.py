@@ -9,10 +9,11 @@ from typing import Final
 
 import msgspec
 import structlog
-from prometheus_client import CollectorRegistry, Gauge
+from prometheus_client import CollectorRegistry, Counter, Gauge
 
 from adapters.protocol import Clock
 from service.alarms import AlarmBook, AlarmState
+from service.alarms.records import assets_of
 from service.alarms.silencing import Silencing
 from service.bus.calls import answering
 from service.bus.interface import Handlers
@@ -20,6 +21,7 @@ from service.cell.core import Core
 from service.clock import MICROSECONDS
 from service.features.notifications import rules
 from service.features.notifications.interface import Notifications, NotificationState
+from service.features.notifications.messages import Item
 from service.features.notifications.notification_queue import NotificationQueue
 from service.features.notifications.sections import NotificationSection, sections_of
 from service.features.notifications.senders import make_sender, send_test
@@ -119,9 +121,16 @@ class Notifier(Part):
                 lambda name: self._asset(name)[0],
                 self._keep,
                 silencing,
+                partial(self._give_up, one.id),
             )
             for one in sections_of(settings).notifications
         }
+        self._given_up = Counter(
+            "bearing_twin_notification_given_up",
+            "Alarms of which a notification was refused for good.",
+            ["notification"],
+            registry=registry,
+        )
         up = Gauge(
             "bearing_twin_notification_up",
             "Whether the last try of a notification succeeded.",
@@ -130,6 +139,7 @@ class Notifier(Part):
         )
         for name, queue in self._queues.items():
             up.labels(name).set_function(partial(_is_up, queue))
+            self._given_up.labels(name)
 
     # ------------------------------------------------------------------ from any thread
     def alarm_changed(self, alarm: Alarm) -> None:
@@ -299,6 +309,14 @@ class Notifier(Part):
             yield rules.escalated(notification, other, step.to, now_us)
             notification = msgspec.structs.replace(notification, steps=notification.steps + 1)
             yield notification
+
+    def _give_up(self, section_id: str, item: Item, reason: str) -> None:
+        """Say that a recipient was not notified of an alarm."""
+        self._given_up.labels(section_id).inc()
+        alarm = item.alarm
+        what = ", ".join(dict.fromkeys(map(rules.kind_of, item.events)))
+        message = f"{section_id} was not notified ({what}) of: {alarm.message}; {reason}"
+        self._book.record_events(assets_of(alarm), "notification refused", message)
 
     def _keep(self, notifications: Iterable[Notification]) -> None:
         changed = list(notifications)

@@ -101,4 +101,5 @@ def _document(
         told_at=time_or_none(state.sent_us),
         failing_since=time_or_none(state.failing_since_us),
         error=state.error or None,
+        given_up=state.given_up,
     )

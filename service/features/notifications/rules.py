@@ -147,6 +147,15 @@ def sent(notification: Notification, events: Sequence[str]) -> Notification:
     return closed(replace(notification, pending=pending, is_notified=is_notified, over=False))
 
 
+def not_taken(notification: Notification, events: Sequence[str]) -> Notification:
+    """Drop events that the recipient does not take, and what makes no sense without them."""
+    is_notified = notification.is_notified and RETURNED not in map(kind_of, events)
+    pending = [event for event in notification.pending if event not in events]
+    if not is_notified and not any(kind_of(event) in (RAISED, ESCALATED) for event in pending):
+        pending = []
+    return closed(replace(notification, pending=tuple(pending), is_notified=is_notified))
+
+
 def given_up(notification: Notification, now_us: int) -> Notification:
     """Drop what could not be sent of an alarm that has been over for a day."""
     alarm = notification.alarm

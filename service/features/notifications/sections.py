@@ -12,6 +12,7 @@ from pydantic import AfterValidator, BaseModel, Field, SecretStr, model_validato
 from adapters.configuration import first_repeated
 from service.domain.daily_hours import DailyHours
 from service.domain.section import Section
+from service.features.notifications.addresses import sent_address
 from service.site.configuration import SettingsError
 
 if TYPE_CHECKING:
@@ -19,7 +20,17 @@ if TYPE_CHECKING:
 
 Priority = Annotated[int, Field(ge=1, le=3)]
 _ADDRESS = r"^[^@\s,;<>\"]+@[^@\s,;<>\"]+$"
-Address = Annotated[str, Field(pattern=_ADDRESS, max_length=254)]
+
+
+def _address(text: str) -> str:
+    try:
+        sent_address(text)
+    except ValueError as error:
+        raise ValueError(f"the domain is none: {error}") from error
+    return text
+
+
+Address = Annotated[str, Field(pattern=_ADDRESS, max_length=254), AfterValidator(_address)]
 #: What the Standard Webhooks specification asks of a key.
 _SECRET_BYTES = (24, 64)
 _SECRET_PREFIX = "whsec_"
@@ -35,7 +46,7 @@ class SmtpSection(Section):
     username: str = ""
     password: SecretStr | None = None
     #: The address that messages come from.
-    sender: Annotated[str, Field(pattern=f"^$|{_ADDRESS}")] = ""
+    sender: Annotated[str, Field(pattern=f"^$|{_ADDRESS}"), AfterValidator(_address)] = ""
     #: Certificates of the authority that signed the server's; without it the machine's own.
     ca_file: Path | None = None
 

@@ -15,13 +15,27 @@ class DeliveryError(BearingTwinError):
     """A message was not accepted; the text says why in one line, without any secret."""
 
 
+class ContentRefusedError(DeliveryError):
+    """A receiver does not take what the message says; others may be taken.
+
+    Attributes
+    ----------
+    is_final : bool
+        Whether the same message is of no use later either.
+    """
+
+    def __init__(self, text: str, *, is_final: bool) -> None:
+        super().__init__(text)
+        self.is_final = is_final
+
+
 class Sender(Protocol):
     """Sends messages to one recipient of the configuration."""
 
     async def send(self, message: OutgoingMessage) -> str | None:
         """Send a message; gives what is wrong with some of several addresses, if anything.
 
-        Raises `DeliveryError` if it is to be tried again.
+        Raises `DeliveryError` if it is to be tried again, `ContentRefusedError` if in parts.
         """
 
     async def close(self) -> None:

@@ -2,12 +2,24 @@
 
 import asyncio
 import ssl
+from typing import Final
 
 import httpx2
 
 from service.features.notifications.messages import OutgoingMessage, signature_headers
 from service.features.notifications.sections import NotificationSection
-from service.features.notifications.sender import ANSWER_S, WHOLE_S, DeliveryError, one_line, reason
+from service.features.notifications.sender import (
+    ANSWER_S,
+    WHOLE_S,
+    ContentRefusedError,
+    DeliveryError,
+    one_line,
+    reason,
+)
+
+#: Bad request, content too large, content that cannot be processed.
+_OF_THE_CONTENT: Final = (400, 413, 422)
+_FAILED_ON_IT: Final = 500
 
 
 class WebhookSender:
@@ -39,7 +51,10 @@ class WebhookSender:
         if 300 <= status < 400:
             raise DeliveryError(f"{self._host}: answered {status}; redirects are not followed")
         if not 200 <= status < 300:
-            raise DeliveryError(f"{self._host}: answered {status}")
+            said = f"{self._host}: answered {status}"
+            if status in (*_OF_THE_CONTENT, _FAILED_ON_IT):
+                raise ContentRefusedError(said, is_final=status in _OF_THE_CONTENT)
+            raise DeliveryError(said)
         return None
 
     async def close(self) -> None:

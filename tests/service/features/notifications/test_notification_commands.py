@@ -47,6 +47,10 @@ def test_an_unknown_notification_is_named_with_those_there_are(
         (MAIL, "smtp.host: missing; notification 'm' needs it"),
         (SMTP + MAIL.replace("a@example.com", "nobody"), "notifications[0].to[0] = 'nobody': "),
         (
+            SMTP + MAIL.replace("example", "bü..cher"),
+            "notifications[0].to[0] = 'a@bü..cher.com': the domain is none: ",
+        ),
+        (
             SMTP + MAIL + "priorities = [4]\n",
             "notifications[0].priorities[0] = 4: Input should be less than or equal to 3",
         ),
@@ -87,3 +91,16 @@ def test_what_is_wrong_with_a_notification_is_said_by_check(
     assert said.startswith(f"site.toml: {line}")
     for secret in ("hidden", "a:secret"):
         assert secret not in checked.stdout + checked.stderr
+
+
+def test_check_warns_of_addresses_that_not_every_mail_server_takes(
+    tmp_path: Path, cli: Any
+) -> None:
+    text = SMTP.replace("twin@", "zwölf@") + MAIL.replace(
+        '"a@example.com"', '"a@example.com", "jörg@example.com", "a@bücher.example"'
+    )
+    (tmp_path / "site.toml").write_text(text)
+    done = cli("check", "-c", "site.toml")
+    assert done.returncode == 0
+    said = [line for line in done.stderr.splitlines() if "SMTPUTF8" in line]
+    assert [line.split("'")[1] for line in said] == ["jörg@example.com", "zwölf@example.com"]

@@ -9,6 +9,7 @@ import json
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from email.message import Message
 from inspect import isawaitable
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from receivers import PASSWORD, Hook, Mailbox
 
 from service.alarms import AlarmBook
 from service.alarms.silencing import Silencing
+from service.features.notifications import mail, notification_queue
 from service.features.notifications.part import Notifier
 from service.features.notifications.tables import NotificationRecords
 from service.features.silences.part import KnownSilences
@@ -27,6 +29,7 @@ from service.features.silences.tables import Silence, Silences
 from service.pauses import MeasuredCoroutine
 from service.site.configuration import SettingsError
 from service.site.settings import Settings
+from service.store import JournalFilter
 
 pytestmark = pytest.mark.wires
 
@@ -198,6 +201,120 @@ async def test_mail_goes_out_once_to_each_address_by_tls_and_log_in(
     assert mailbox.got[-1][1]["subject"] == "Bearing Twin: test of mail"
 
 
+async def test_a_domain_with_an_umlaut_goes_out_as_mail_servers_know_it(
+    bench: Bench, mailbox: Mailbox
+) -> None:
+    mailbox.options["enable_SMTPUTF8"] = False
+    to = ["shift@works.example", "guard@bücher.example"]
+    async with Notified(bench, site(mailbox=mailbox, to=to)) as notified:
+        notified.raise_alarm()
+        await quiet(notified)
+        (state,) = await notified.notifier.states()
+        assert state.error == ""
+    ((recipients, message),) = mailbox.got
+    assert recipients == ["shift@works.example", "guard@xn--bcher-kva.example"]
+    assert message["to"] == ", ".join(recipients)
+
+
+@pytest.mark.parametrize("takes_all_names", [False, True])
+async def test_an_address_with_an_umlaut_keeps_the_message_from_nobody_else(
+    bench: Bench, mailbox: Mailbox, takes_all_names: bool
+) -> None:
+    mailbox.options["enable_SMTPUTF8"] = takes_all_names
+    to = ["jörg@works.example", "shift@works.example"]
+    async with Notified(bench, site(mailbox=mailbox, to=to)) as notified:
+        notified.raise_alarm()
+        await quiet(notified)
+        (state,) = await notified.notifier.states()
+        assert state.tries == 0
+    got = [recipients for recipients, _ in mailbox.got]
+    assert got[0] == ["shift@works.example"]
+    assert mailbox.got[0][1]["to"] == "shift@works.example"
+    if takes_all_names:
+        assert got[1:] == [["jörg@works.example"]]
+        assert state.error == ""
+    else:
+        assert got[1:] == []
+        assert state.error == (
+            "jörg@works.example: 553 the mail server takes no such name (it has no SMTPUTF8)"
+        )
+
+
+async def test_a_mail_that_is_refused_for_its_text_is_halved(
+    bench: Bench, mailbox: Mailbox
+) -> None:
+    def judge(message: Message) -> str:
+        text = message.get_content()  # type: ignore[attr-defined]
+        is_refused = "kind 2," in text or text.count("RAISED") > 3
+        return "552 too much" if is_refused else "250 taken"
+
+    mailbox.judge = judge
+    async with Notified(bench, site(mailbox=mailbox)) as notified:
+        for number in range(8):
+            notified.raise_alarm(kind=f"kind {number}", priority=3)
+        await quiet(notified)
+        (state,) = await notified.notifier.states()
+        assert (state.given_up, state.waiting) == (1, 0)
+    texts = "".join(message.get_content() for _, message in mailbox.got)  # type: ignore[attr-defined]
+    for number in range(8):
+        assert texts.count(f"kind {number},") == (number != 2)
+
+
+async def test_an_address_that_is_refused_for_the_time_being_doubles_no_mail(
+    bench: Bench, mailbox: Mailbox
+) -> None:
+    mailbox.answers = {"b@example.com": ["450 later"] * 4}
+    async with Notified(bench, site(mailbox=mailbox)) as notified:
+        notified.raise_alarm(kind="first", priority=3)
+        notified.raise_alarm(kind="second", priority=1)
+        await until(lambda: mailbox.got, "the first mail")
+        notified.raise_alarm(kind="third", priority=1)
+        await quiet(notified)
+    for address in ("a@example.com", "b@example.com"):
+        texts = "".join(
+            message.get_content()  # type: ignore[attr-defined]
+            for recipients, message in mailbox.got
+            if address in recipients
+        )
+        for kind in ("first", "second", "third"):
+            assert texts.count(f"  {kind},") == 1, (address, kind)
+
+
+async def test_a_message_that_becomes_shorter_doubles_no_mail(
+    bench: Bench, mailbox: Mailbox
+) -> None:
+    mailbox.answers = {"b@example.com": ["450 later"] * 4}
+    async with Notified(bench, site(mailbox=mailbox)) as notified:
+        first = notified.raise_alarm(kind="first", priority=3)
+        notified.raise_alarm(kind="second", priority=3)
+        await until(lambda: mailbox.got, "the first mail")
+        notified.book.shelve(first, 600, "operator")
+        await quiet(notified)
+    of_a = [message for recipients, message in mailbox.got if "a@example.com" in recipients]
+    assert len([one for one in of_a if "  second," in one.get_content()]) == 1  # type: ignore[attr-defined]
+    assert any("b@example.com" in recipients for recipients, _ in mailbox.got)
+
+
+async def test_an_address_that_is_always_refused_for_the_time_being_holds_up_nobody(
+    bench: Bench, mailbox: Mailbox, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(mail, "_PATIENCE", 3)
+    later = mailbox.answers["b@example.com"] = ["452 mailbox full"] * 4
+    async with Notified(bench, site(mailbox=mailbox)) as notified:
+        notified.raise_alarm()
+        await quiet(notified)
+        assert len(later) == 1, "tried three times"
+        (state,) = await notified.notifier.states()
+        assert (state.tries, state.error) == (0, "b@example.com: 452 mailbox full")
+        notified.end_alarm()
+        await quiet(notified)
+        assert not later, "tried once"
+        assert [recipients for recipients, _ in mailbox.got] == [["a@example.com"]] * 2
+        notified.raise_alarm(asset="bench-2")
+        await until(lambda: len(mailbox.got) == 3, "the next alarm")
+    assert mailbox.got[-1][0] == ["a@example.com", "b@example.com"]
+
+
 async def test_a_wrong_password_is_said_without_it(bench: Bench, mailbox: Mailbox) -> None:
     settings = site(mailbox=mailbox)
     smtp = settings.smtp.model_copy(update={"username": "other"})
@@ -233,6 +350,206 @@ async def test_a_burst_is_one_message_and_what_is_set_aside_is_none(
         _, message = mailbox.got[-1]
         assert "alarms on 1 machine" in message["subject"]
         assert "more; the page Alarms lists all" in message.get_content()  # type: ignore[attr-defined]
+
+
+def refuses(hook: Hook, is_refused: Callable[[list[dict[str, Any]]], int]) -> None:
+    """Let a receiver refuse posts for what they say."""
+    hook.judge = lambda body: is_refused(json.loads(body)["events"])
+
+
+async def test_a_post_that_is_too_large_is_halved_until_it_is_taken(
+    bench: Bench, hook: Hook
+) -> None:
+    refuses(hook, lambda events: 413 if len(events) > 30 else 204)
+    async with Notified(bench, site(hook)) as notified:
+        for number in range(120):
+            notified.raise_alarm(kind=f"kind {number}", priority=3)
+        await quiet(notified)
+        (state,) = await notified.notifier.states()
+    names = [id for _, id in events(hook)]
+    assert len(names) == len(set(names)) == 120
+    assert (state.given_up, state.tries, state.error) == (0, 0, "")
+    assert 413 in {status for status, _, _ in hook.posts}
+
+
+@pytest.mark.parametrize("status", [400, 413, 422])
+async def test_one_alarm_that_a_receiver_refuses_stops_no_other(
+    bench: Bench, hook: Hook, status: int
+) -> None:
+    def odd(events: list[dict[str, Any]]) -> int:
+        return status if any(one["alarm"]["kind"] == "kind 17" for one in events) else 204
+
+    refuses(hook, odd)
+    async with Notified(bench, site(hook)) as notified:
+        for number in range(40):
+            notified.raise_alarm(kind=f"kind {number}", priority=3)
+        await quiet(notified)
+        urgent = notified.raise_alarm(asset="bench-2")
+        await until(lambda: ("raised", f"{urgent}:raised:1") in events(hook), "the urgent one")
+        await quiet(notified)
+        (state,) = await notified.notifier.states()
+        assert (state.given_up, state.waiting, state.tries) == (1, 0, 0)
+        # It returns: the receiver, who does not know of it, gets nothing of it.
+        notified.end_alarm(kind="kind 17", priority=3)
+        await quiet(notified)
+        (state,) = await notified.notifier.states()
+        assert state.given_up == 1
+    assert len(events(hook)) == 40
+    assert bench.outbox.flush(30)
+    lines = bench.store.alarms.journal(JournalFilter(events=True), 100).items
+    (line,) = [one for one in lines if one.kind == "notification refused"]
+    assert line.asset == "bench-1"
+    assert line.message.startswith("hook was not notified (raised) of: ")
+    assert line.message.endswith(f"answered {status}")
+
+
+async def test_one_alarm_on_which_a_receiver_fails_stops_no_other_and_is_never_given_up(
+    bench: Bench, hook: Hook
+) -> None:
+    is_odd = True
+
+    def odd(events: list[dict[str, Any]]) -> int:
+        return 500 if is_odd and any(e["alarm"]["kind"] == "kind 3" for e in events) else 204
+
+    refuses(hook, odd)
+    async with Notified(bench, site(hook)) as notified:
+        for number in range(8):
+            notified.raise_alarm(kind=f"kind {number}", priority=3)
+        await until(lambda: len(events(hook)) == 7, "the others")
+        tries = len(hook.posts)
+        await until(lambda: len(hook.posts) > tries + 4, "more tries than a refusal has")
+        (state,) = await notified.notifier.states()
+        assert (state.given_up, state.waiting) == (0, 1)
+        is_odd = False
+        await until(lambda: len(events(hook)) == 8, "the odd one")
+
+
+async def test_after_a_receiver_failed_on_everything_alarms_go_out_together_again(
+    bench: Bench, hook: Hook
+) -> None:
+    fails = True
+    refuses(hook, lambda events: 500 if fails else 204)
+    async with Notified(bench, site(hook)) as notified:
+        for number in range(40):
+            notified.raise_alarm(kind=f"kind {number}", priority=3)
+        await until(lambda: len(hook.posts) > 8, "some tries")
+        fails = False
+        await quiet(notified)
+    names = [id for _, id in events(hook)]
+    assert len(names) == len(set(names)) == 40
+    assert len(hook.taken) < 15
+
+
+async def test_an_alarm_that_is_shelved_while_it_is_refused_stops_nothing(
+    bench: Bench, hook: Hook
+) -> None:
+    loop = asyncio.get_running_loop()
+
+    async def waiting() -> int:
+        (state,) = await notified.notifier.states()
+        return state.waiting
+
+    def shelving(posted: list[dict[str, Any]]) -> int:
+        if posted[0]["alarm"]["asset"] == "bench-2":
+            return 204
+        notified.book.shelve(posted[0]["alarm"]["id"], 600, "operator")
+        while asyncio.run_coroutine_threadsafe(waiting(), loop).result(PATIENCE_S):
+            time.sleep(0.02)
+        return 422
+
+    refuses(hook, shelving)
+    async with Notified(bench, site(hook)) as notified:
+        notified.raise_alarm()
+        await until(lambda: hook.posts, "the refusal")
+        other = notified.raise_alarm(asset="bench-2")
+        await until(lambda: events(hook) == [("raised", f"{other}:raised:1")], "the next alarm")
+        await quiet(notified)
+        (state,) = await notified.notifier.states()
+        assert state.given_up == 0
+
+
+async def test_a_receiver_that_accepts_nothing_for_a_while_loses_nothing(
+    bench: Bench, hook: Hook
+) -> None:
+    """It may be a key, or a proxy, that is not right yet."""
+    is_wrong = True
+    refuses(hook, lambda events: 400 if is_wrong else 204)
+    async with Notified(bench, site(hook)) as notified:
+        for number in range(4):
+            notified.raise_alarm(kind=f"kind {number}", priority=1 + number % 3)
+        await until(lambda: len(hook.posts) > 12, "several tries of each")
+        is_wrong = False
+        await quiet(notified)
+        (state,) = await notified.notifier.states()
+        assert state.given_up == 0
+    assert len({id for _, id in events(hook)}) == 4
+
+
+async def test_one_alarm_that_is_never_taken_delays_no_later_one(bench: Bench, hook: Hook) -> None:
+    refuses(hook, lambda events: 500 if any("odd" in e["alarm"]["kind"] for e in events) else 204)
+    async with Notified(bench, site(hook)) as notified:
+        for number in range(3):
+            notified.raise_alarm(kind=f"odd {number}")
+        await until(lambda: len(hook.posts) > 12, "its tries become rare")
+        tried = {json.loads(body)["events"][0]["alarm"]["kind"] for _, _, body in hook.posts[-3:]}
+        assert len(tried) == 3, "in turn"
+        posts = len(hook.posts)
+        notified.raise_alarm(asset="bench-2")
+        await until(lambda: hook.taken, "the later one")
+        assert len(hook.posts) <= posts + 2
+
+
+async def test_a_return_that_is_refused_is_given_up_once(
+    bench: Bench, hook: Hook, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(notification_queue, "REFUSED_FOR_S", 0.1)
+    refuses(hook, lambda events: 422 if events[0]["event"] == "returned" else 204)
+    async with Notified(bench, site(hook)) as notified:
+        alarm = notified.raise_alarm()
+        await quiet(notified)
+        notified.end_alarm()
+        await quiet(notified)
+        posts = len(hook.posts)
+        notified.book.acknowledge(alarm, "operator")
+        await quiet(notified)
+        (state,) = await notified.notifier.states()
+        assert state.given_up == 1
+        assert len(hook.posts) == posts
+        notified.raise_alarm()
+        await until(lambda: len(hook.taken) == 2, "the next raise")
+
+
+async def test_what_is_refused_and_nothing_else_comes_is_given_up_as_well(
+    bench: Bench, hook: Hook, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(notification_queue, "REFUSED_FOR_S", 0.1)
+    refuses(hook, lambda events: 422)
+    async with Notified(bench, site(hook)) as notified:
+        notified.raise_alarm()
+        await quiet(notified)
+        (state,) = await notified.notifier.states()
+        assert state.given_up == 1
+        assert len(hook.posts) >= 3
+        hook.judge = None
+        notified.raise_alarm(asset="bench-2")
+        await until(lambda: hook.taken, "the next alarm")
+        assert not any(notified.notifier.problems().values())
+
+
+async def test_priority_1_does_not_stand_behind_a_post_that_fails(bench: Bench, hook: Hook) -> None:
+    refuses(hook, lambda events: 503 if any(e["alarm"]["priority"] == 3 for e in events) else 204)
+    async with Notified(bench, site(hook)) as notified:
+        for number in range(5):
+            notified.raise_alarm(kind=f"kind {number}", priority=3)
+        await until(lambda: len(hook.posts) > 1, "two tries")
+        urgent = notified.raise_alarm(asset="bench-2")
+        await until(lambda: events(hook) == [("raised", f"{urgent}:raised:1")], "the urgent one")
+        failed = {h["webhook-id"] for status, h, _ in hook.posts if status == 503}
+        await until(lambda: hook.posts[-1][0] == 503, "another try of the rest")
+        assert hook.posts[-1][1]["webhook-id"] in failed, "the same message as before"
+        hook.judge = None
+        await quiet(notified)
+    assert len(events(hook)) == 6
 
 
 async def test_a_restart_goes_on_where_it_was(bench: Bench, hook: Hook) -> None:

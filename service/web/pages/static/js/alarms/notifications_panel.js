@@ -121,6 +121,7 @@ function stateOfNotification(one) {
       : one.told_at ? ['Last sent ', moment(one.told_at), one.error ? `, but ${one.error}. ` : '. ']
         : 'Nothing sent since the start. ',
     one.waiting > one.held && `${one.waiting - one.held} waiting. `,
+    one.given_up > 0 && `Refused for good: ${one.given_up} (see the journal). `,
     one.held > 0 && `${one.held} held back. `, one.quiet && 'Quiet hours now.',
   ];
 }
