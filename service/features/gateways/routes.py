@@ -133,6 +133,7 @@ async def post_lines(
     consistency: Annotated[str, Query(description="Ignored, too.")] = "",
     bucket: Annotated[str, Query(description="Ignored; clients of InfluxDB 2 send it.")] = "",
     org: Annotated[str, Query(description="Ignored, too.")] = "",
+    org_id: Annotated[str, Query(alias="orgID", description="Ignored, too.")] = "",
 ) -> Response:
     """Accept lines: the measurement is the asset, each field a pushed channel, tags are ignored.
 

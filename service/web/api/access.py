@@ -8,11 +8,13 @@ import base64
 import binascii
 import math
 from collections import Counter
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Mapping
+from difflib import get_close_matches
 from typing import Annotated, Any, Final, TypedDict
 from urllib.parse import urlsplit
 
 from fastapi import Depends, params
+from fastapi.dependencies.models import Dependant
 from fastapi.routing import APIRoute
 from starlette.requests import HTTPConnection, Request
 from starlette.types import Scope
@@ -32,6 +34,7 @@ KEY_HEADER = "X-API-Key"
 SUBPROTOCOL_PREFIX = "bearer."
 SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
 _PRINCIPAL = "bearing_twin.principal"
+_NAME_MAX = 100
 #: Extension of OpenAPI that holds what the audit trail calls a change.
 AUDIT = "x-audit"
 
@@ -142,7 +145,9 @@ def require(roles: Roles) -> Callable[[HTTPConnection], Coroutine[Any, Any, Prin
                 f"a key of role {principal.role} may not do this, "
                 f"expected {' or '.join(sorted(roles))}",
             )
-        _refuse_repetitions(connection)
+        route = connection.scope.get("route")
+        if isinstance(route, APIRoute) and connection.scope["path"].startswith("/api/"):
+            refuse_odd_query(connection, _parameters(route.dependant))
         return principal
 
     return caller_with_role
@@ -154,16 +159,41 @@ def known_caller(scope: Scope) -> Principal | None:
     return principal if isinstance(principal, Principal) else None
 
 
-def _refuse_repetitions(connection: HTTPConnection) -> None:
-    """Refuse a parameter that comes twice and is no list: no one knows which one is meant."""
-    names = [name for name, _ in connection.query_params.multi_items()]
-    times = Counter(names)
-    if len(names) == len(times):
-        return
-    route = connection.scope.get("route")
-    for field in route.dependant.query_params if isinstance(route, APIRoute) else ():
-        if times[field.alias] > 1 and "list[" not in str(field.field_info.annotation):
-            raise parameter_problem(field.alias, "expected once")
+def refuse_odd_query(connection: HTTPConnection, parameters: Mapping[str, bool]) -> None:
+    """Refuse a query with a parameter that the call does not have, or that comes too often.
+
+    What is not known would be ignored, and the answer be that to another question.
+
+    Parameters
+    ----------
+    connection
+        What was asked.
+    parameters
+        Those of the call, each with whether it may come several times.
+
+    Raises
+    ------
+    Problem
+        With status 422.
+    """
+    times = Counter(name for name, _ in connection.query_params.multi_items())
+    for name, count in times.items():
+        if name not in parameters:
+            near = get_close_matches(name.lower(), parameters, 1, 0.75)
+            known = ", ".join(near or sorted(parameters)) or "none"
+            raise parameter_problem(name[:_NAME_MAX], f"no such parameter; expected {known}")
+        if count > 1 and not parameters[name]:
+            raise parameter_problem(name, "expected once")
+
+
+def _parameters(dependant: Dependant) -> dict[str, bool]:
+    """Give the query parameters of a route and of what it depends on; whether each is a list."""
+    found = {
+        field.alias: "list[" in str(field.field_info.annotation) for field in dependant.query_params
+    }
+    for below in dependant.dependencies:
+        found |= _parameters(below)
+    return found
 
 
 async def caller(connection: HTTPConnection) -> Principal:

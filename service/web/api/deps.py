@@ -5,19 +5,21 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from anyio import to_thread
-from fastapi import Depends, Path
+from fastapi import Depends, Path, Query
 from starlette.requests import HTTPConnection
 from starlette.responses import Response
 
 from adapters.configuration import listed
+from adapters.words import shown
 from service.bus.replica import AssetReplica
 from service.documents.base import Document
 from service.documents.interfaces import DocumentKind
 from service.domain.errors import CellUnavailableError
 from service.security.audit_trail import AuditTrail
 from service.security.authenticator import Authenticator
+from service.store import JournalFilter
 from service.web.api.context import ServiceContext
-from service.web.api.problems import parameter_problem
+from service.web.api.problems import Problem, parameter_problem
 
 
 async def get_context(connection: HTTPConnection) -> ServiceContext:
@@ -54,9 +56,13 @@ async def get_asset(
     if asset is None and context.is_known(asset_id):
         raise CellUnavailableError(f"no cell follows asset {asset_id!r} at the moment")
     if asset is None:
-        known = listed(context.assets) or "none"
-        raise parameter_problem("asset_id", f"no asset {asset_id!r}; there is: {known}", 404)
+        raise _no_asset(context, "asset_id", asset_id, 404)
     return asset
+
+
+def _no_asset(context: ServiceContext, parameter: str, name: str, status: int) -> Problem:
+    known = listed(context.assets) or "none"
+    return parameter_problem(parameter, f"no asset {shown(name)}; there is: {known}", status)
 
 
 Asset = Annotated[AssetReplica, Depends(get_asset)]
@@ -87,6 +93,41 @@ async def get_recorded(
 
 
 Recorded = Annotated[RecordedAsset, Depends(get_recorded)]
+
+
+async def get_asset_filter(
+    context: Context, asset: Annotated[str | None, Query(description="Only of this asset.")] = None
+) -> str | None:
+    """Give the name of the only asset that is asked for; one that does not exist has no answer."""
+    if asset is None or asset in context.assets:
+        return asset
+    if context.is_known(asset):
+        raise CellUnavailableError(f"no cell follows asset {asset!r} at the moment")
+    raise _no_asset(context, "asset", asset, 422)
+
+
+async def get_recorded_filter(
+    context: Context,
+    asset: Annotated[
+        str | None, Query(description="Only of this asset; also of one that was removed.")
+    ] = None,
+) -> str | None:
+    """As `get_asset_filter`, also where only history or journal is left of the asset."""
+
+    def is_recorded(name: str) -> bool:
+        store = context.store
+        lines = store.alarms.journal(JournalFilter(name), 1).items
+        return bool(lines or store.samples.with_history([name]))
+
+    if asset is None or asset in context.assets or context.is_known(asset):
+        return asset
+    if not await to_thread.run_sync(is_recorded, asset):
+        raise _no_asset(context, "asset", asset, 422)
+    return asset
+
+
+AssetFilter = Annotated[str | None, Depends(get_asset_filter)]
+RecordedFilter = Annotated[str | None, Depends(get_recorded_filter)]
 
 
 def copy_response(asset: AssetReplica, kind: DocumentKind) -> Response:

@@ -57,7 +57,7 @@ class SnapshotShortcut:
             await response(scope, receive, send)
 
     async def _response(self, scope: Scope) -> Response | None:
-        if scope["type"] != "http" or scope["method"] != "GET":
+        if scope["type"] != "http" or scope["method"] != "GET" or scope["query_string"]:
             return None
         found = _PATH.fullmatch(scope["path"])
         asset = self.assets.get(found[1]) if found else None

@@ -25,7 +25,7 @@ from service.spreadsheets import cell
 from service.store import AlarmJournalPage, JournalFilter, Store
 from service.web.api.access import secured
 from service.web.api.cursors import decode_cursor, encode_cursor, next_link
-from service.web.api.deps import Context, json_response
+from service.web.api.deps import AssetFilter, Context, RecordedFilter, json_response
 from service.web.api.problems import parameter_problem
 from service.web.api.turns import HeldResponse, Turns, caller_of, turns_of, while_there
 
@@ -74,7 +74,7 @@ class JournalPlace(BaseModel):
 async def get_journal(
     context: Context,
     request: Request,
-    asset: Annotated[str | None, Query(description="Only of this asset.")] = None,
+    asset: RecordedFilter,
     alarm: Annotated[
         str | None, Query(max_length=64, description="Only of the alarm of this id.")
     ] = None,
@@ -128,7 +128,7 @@ async def get_journal(
 )
 async def get_statistics(
     context: Context,
-    asset: Annotated[str | None, Query(description="Only of this asset.")] = None,
+    asset: AssetFilter,
 ) -> Response:
     """Alarms raised in the last 10 minutes and the last day, the most frequent, those that stay.
 

@@ -35,7 +35,7 @@ from service.web.api.alarm_bodies import (
 )
 from service.web.api.context import ServiceContext
 from service.web.api.cursors import Cursor, LimitOrAll, decode_cursor, encode_cursor, next_link
-from service.web.api.deps import Context, json_response
+from service.web.api.deps import AssetFilter, Context, json_response
 from service.web.api.problems import Problem, parameter_problem
 from service.web.api.trail import ChangeLine
 
@@ -57,7 +57,7 @@ AlarmId = Annotated[str, Path(max_length=64, description="`id` of the alarm.")]
 async def list_alarms(
     request: Request,
     context: Context,
-    asset: Annotated[str | None, Query(description="Only of this asset.")] = None,
+    asset: AssetFilter,
     state: Annotated[
         list[AlarmState] | None,
         Query(

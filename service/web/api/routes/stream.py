@@ -21,6 +21,7 @@ from service.security.audit_trail import AuditTrail
 from service.security.authenticator import Authenticator, Principal
 from service.web.api.access import (
     authenticate,
+    refuse_odd_query,
     refuse_other_sites,
     secured,
     subprotocol_key,
@@ -37,6 +38,8 @@ _MESSAGES_AT_ONCE = 10
 _GOING_AWAY, _POLICY, _TRY_AGAIN = 1001, 1008, 1013
 _PATH = "/stream"
 
+#: Of the address, each once.
+PARAMETERS = ("assets", "live", "resume", "epoch")
 router = APIRouter(tags=["stream"])
 _log = structlog.get_logger(__name__)
 
@@ -87,6 +90,7 @@ async def stream(websocket: WebSocket, context: Context, keys: Keys, trail: Trai
     try:
         principal, subprotocol = await _admit(websocket, keys, trail)
         _count(principal, keys)
+        refuse_odd_query(websocket, dict.fromkeys(PARAMETERS, False))
         async with _place(websocket, principal), contextlib.AsyncExitStack() as turn:
             if websocket.query_params.get("resume"):
                 # Hundreds that come back at once want megabytes each: a few at a time.

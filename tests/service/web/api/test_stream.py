@@ -131,6 +131,18 @@ async def test_who_follows_one_asset_still_hears_the_alarms_of_all(world: Any, s
     assert refused.value.response.status_code == 404
 
 
+@pytest.mark.parametrize(
+    "query", ["assets=bench-1&assets=rig-2", "asset=bench-1", "live=rig-2&live=bench-1"]
+)
+async def test_a_query_that_would_be_ignored_is_refused(
+    world: Any, server: Any, query: str
+) -> None:
+    with pytest.raises(InvalidStatus) as refused:
+        async with server.open(f"?{query}", world.keys["viewer"]):
+            pass
+    assert refused.value.response.status_code == 422
+
+
 async def test_resume_brings_what_was_missed(world: Any, server: Any) -> None:
     async with server.open("?assets=bench-1", world.keys["viewer"]) as websocket:
         world.bus.publish("measurement", "bench-1", {"samples": []})
