@@ -173,7 +173,7 @@ def layout_of(
 def time_reader(file: str, layout: Layout, start_us: int | None) -> Callable[[object], int]:
     """Make the function that turns a cell of the time column into UTC microseconds.
 
-    Raises `TransferError` if the cells count from a start that nobody gives.
+    Raises `TransferError` if the cells count from a start that is not given.
     """
     if layout.unit is None:
         return lambda cell: moment_us(layout.time, cell)

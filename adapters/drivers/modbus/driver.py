@@ -7,8 +7,7 @@ import time
 from collections import deque
 from collections.abc import AsyncGenerator, AsyncIterator, Sequence
 from contextlib import aclosing
-from dataclasses import dataclass, field, replace
-from enum import Enum
+from dataclasses import replace
 from types import TracebackType
 from typing import Self
 
@@ -19,6 +18,7 @@ from adapters.drivers.modbus.link import DeviceRefusedError, Link, LinkLostError
 from adapters.drivers.modbus.mapping import PolledChannel, UnitMap, check, compile_units
 from adapters.drivers.modbus.plan import ImplausiblePlanError, decode_plan, read_rows
 from adapters.drivers.modbus.rounds import Round, Rounds
+from adapters.drivers.modbus.units import Probe, Unit
 from adapters.protocol import ChannelBinding, Clock, PlanBinding, SourceHealth
 from adapters.samples import (
     Batch,
@@ -48,45 +48,6 @@ PLAN_FAILED_FIRST_S = 5.0
 LOG_INTERVAL_S = 10.0  # between two lines on the same channel
 
 
-class _Probe(Enum):
-    """What trying a silent unit over a second connection gave."""
-
-    ANSWERS = "answers"
-    STILL_SILENT = "still no answer"
-    NO_SECOND_CONNECTION = "no second connection"  # the unit must be tried over the first one
-
-
-@dataclass(slots=True)
-class _Unit:
-    """A unit with its standing: alive, or silent and tried again now and then."""
-
-    number: int
-    backoff: Backoff
-    maps: list[UnitMap] = field(default_factory=list)  # one for each poll interval
-    silent: str = ""  # why, or empty
-    retry_at: float = 0.0  # wall, monotonic
-    tried_at: float = 0.0  # wall, monotonic
-    lost: bool = False  # the bad samples that mark the gap have been handed over
-    losses: int = 0  # gaps so far, and silences: a round that spans one is not finished
-    probe: asyncio.Task[_Probe] | None = None
-
-    @property
-    def points(self) -> list[PolledChannel]:
-        return [point for one in self.maps for point in one.points]
-
-    @property
-    def answers(self) -> bool:
-        """Whether the unit answers, and something that fits what it is asked for."""
-        points = self.points
-        fits = not points or any(point.refusal != MISFIT for point in points)
-        return fits and not self.silent
-
-    @property
-    def witness(self) -> UnitMap | None:
-        """A map of which a first group can be read to see if the unit answers."""
-        return next((one for one in self.maps if one.groups), None)
-
-
 class ModbusDriver:
     """Polls one Modbus TCP server or serial line, see `adapters.protocol.Driver`.
 
@@ -113,7 +74,7 @@ class ModbusDriver:
         maps = compile_units(source, channels, plans, clock.rate)
         numbers = dict.fromkeys(one.unit for one in maps)
         last_s = RECONNECT_LAST_S if len(numbers) == 1 else SILENT_UNIT_LAST_S
-        units = {number: _Unit(number, Backoff(RECONNECT_FIRST_S, last_s)) for number in numbers}
+        units = {number: Unit(number, Backoff(RECONNECT_FIRST_S, last_s)) for number in numbers}
         for one in maps:
             units[one.unit].maps.append(one)
         self._units = list(units.values())
@@ -240,14 +201,14 @@ class ModbusDriver:
             self._health.polls += 1
         yield Batch(samples, plans, time.monotonic() - started if read else None)
 
-    def _is_due_on_this_link(self, unit: _Unit) -> bool:
+    def _is_due_on_this_link(self, unit: Unit) -> bool:
         """Decide how a silent unit is tried again: on this link only if that delays no one."""
         if unit.probe is not None:
             if not unit.probe.done():
                 return False
             verdict = unit.probe.result()
             unit.probe = None
-            if verdict is _Probe.STILL_SILENT:
+            if verdict is Probe.STILL_SILENT:
                 unit.retry_at = time.monotonic() + unit.backoff.next()
                 return False
             return True
@@ -265,21 +226,21 @@ class ModbusDriver:
         unit.probe = asyncio.create_task(self._probe(unit.witness, witness))
         return False
 
-    async def _probe(self, unit: UnitMap, witness: UnitMap) -> _Probe:
+    async def _probe(self, unit: UnitMap, witness: UnitMap) -> Probe:
         """Ask a silent unit over a second connection, if the server serves one."""
         link = Link(self._source)
         try:
             if not await link.connect() or not await _answers(link, witness):
-                return _Probe.NO_SECOND_CONNECTION
+                return Probe.NO_SECOND_CONNECTION
             # An answer that does not fit costs the connection.
             if not link.connected and not await link.connect():
-                return _Probe.NO_SECOND_CONNECTION
-            return _Probe.ANSWERS if await _answers(link, unit) else _Probe.STILL_SILENT
+                return Probe.NO_SECOND_CONNECTION
+            return Probe.ANSWERS if await _answers(link, unit) else Probe.STILL_SILENT
         finally:
             link.drop()
 
     async def _poll_unit(
-        self, unit: _Unit, part: UnitMap, samples: list[Sample], read: list[UnitMap]
+        self, unit: Unit, part: UnitMap, samples: list[Sample], read: list[UnitMap]
     ) -> AsyncGenerator[None]:
         """Read one unit's channels, stopping after each request; put `part` to `read` at the end.
 
@@ -340,7 +301,7 @@ class ModbusDriver:
             )
             self._health.samples += 1
 
-    def _no_answer(self, unit: _Unit, reason: str, samples: list[Sample]) -> None:
+    def _no_answer(self, unit: Unit, reason: str, samples: list[Sample]) -> None:
         """Leave a unit out for a while and mark the gap in its channels."""
         self._health.count_error("no_answer")
         if not unit.silent:
@@ -353,7 +314,7 @@ class ModbusDriver:
     def _lose_everything(self) -> list[Sample]:
         return [sample for unit in self._units for sample in self._lose(unit)]
 
-    def _lose(self, unit: _Unit) -> list[Sample]:
+    def _lose(self, unit: Unit) -> list[Sample]:
         """One bad sample per channel, once per loss."""
         if unit.lost:
             return []

@@ -5,7 +5,7 @@ import ssl
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Final
 
 import aiosmtplib
@@ -28,23 +28,29 @@ _NO_SMTPUTF8: Final = (553, "the mail server takes no such name (it has no SMTPU
 _FAILED: Final = 450  # in place of an answer that did not come
 #: Times that an address is refused for the time being until the others wait for it no longer.
 _PATIENCE: Final = 9
-# Of which it is known who has them.
-_EVENTS: Final = 2000
-_MESSAGES: Final = 4
+_EVENTS: Final = 2000  # of which it is known to whom they went
 
 
 @dataclass(slots=True)
 class _Delivery:
     """What became of a message.
 
-    - ``taken``: addresses that have it.
-    - ``refused``: what was said of addresses that are refused for good.
-    - ``is_for_its_text``: whether the message was, not an address.
+    - ``done``: addresses that have it, and those that are refused for good, with what was said.
+    - ``is_for_its_text``: whether the message was refused, not an address.
     """
 
-    taken: set[str] = field(default_factory=set)
-    refused: dict[str, str] = field(default_factory=dict)
+    done: dict[str, str]
     is_for_its_text: bool = False
+
+    @property
+    def is_taken(self) -> bool:
+        """Whether an address has it."""
+        return "" in self.done.values()
+
+    @property
+    def refused(self) -> str:
+        """What was said of the addresses that are refused for good."""
+        return "; ".join(filter(None, self.done.values()))
 
 
 class EmailSender:
@@ -54,41 +60,40 @@ class EmailSender:
         self._to = section.to
         self._smtp = smtp
         self._context = context
-        # By id: one that is urgent may go out between two tries of another.
-        self._deliveries: dict[str, _Delivery] = {}
-        # Addresses that have an event: it may come again in another message.
-        self._have: dict[str, set[str]] = {}
+        # By event: until all addresses are done, it may come again with others.
+        self._done: dict[str, dict[str, str]] = {}
         # How often an address was refused for the time being since it was accepted.
         self._deferrals: Counter[str] = Counter()
 
     async def send(self, message: OutgoingMessage) -> str | None:
         """See `Sender`."""
-        message_id = message.id
-        delivery = self._deliveries.setdefault(message_id, _Delivery())
-        for forgotten in list(self._deliveries)[:-_MESSAGES]:
-            del self._deliveries[forgotten]
         events = message.event_ids
-        if events:
-            delivery.taken |= set.intersection(*(self._have.get(one, set()) for one in events))
+        first, *others = [self._done.get(one, {}) for one in events] or [{}]
+        delivery = _Delivery(
+            {to: line for to, line in first.items() if all(to in other for other in others)}
+        )
         try:
             async with self._client() as client:
                 answers = await self._send_to_all(client, message, delivery)
         except (aiosmtplib.SMTPException, OSError, TimeoutError, ValueError) as error:
             raise DeliveryError(self._line(error)) from error
+        else:
+            deferred = self._judge(answers, delivery)
         finally:
-            for event in events if delivery.taken else ():
-                self._have.setdefault(event, set()).update(delivery.taken)
-        try:
-            line = self._judge(answers, delivery)
-        finally:
-            if not delivery.taken:  # nothing is known but who is refused, and that may change
-                del self._deliveries[message_id]
-        del self._deliveries[message_id]
+            for event in events if delivery.is_taken else ():
+                self._done.setdefault(event, {}).update(delivery.done)
+            for event in list(self._done)[:-_EVENTS]:
+                del self._done[event]
+        if deferred:
+            raise DeliveryError(self._hidden("; ".join(deferred)))
+        line = self._hidden(delivery.refused)
+        if not delivery.is_taken:  # an address that is corrected gets it
+            if delivery.is_for_its_text:
+                raise ContentRefusedError(line, is_final=True)
+            raise DeliveryError(line)
         for event in events:
-            self._have.pop(event, None)
-        for event in list(self._have)[:-_EVENTS]:
-            del self._have[event]
-        return line
+            self._done.pop(event, None)
+        return line or None
 
     def _client(self) -> aiosmtplib.SMTP:
         smtp = self._smtp
@@ -107,7 +112,7 @@ class EmailSender:
         self, client: aiosmtplib.SMTP, message: OutgoingMessage, delivery: _Delivery
     ) -> dict[str, tuple[int, str]]:
         """Send to all who do not have it; gives code and text for those that are refused."""
-        left = [one for one in self._to if one not in delivery.taken | delivery.refused.keys()]
+        left = [one for one in self._to if one not in delivery.done]
         plain = [one for one in left if is_plain_address(one)]
         others = [one for one in left if one not in plain]
         answers: dict[str, tuple[int, str]] = {}
@@ -119,7 +124,7 @@ class EmailSender:
                 async with asyncio.timeout(WHOLE_S):
                     answers |= await self._send_to(client, message, others, delivery)
             except (aiosmtplib.SMTPException, OSError, TimeoutError, ValueError) as error:
-                if not (plain or delivery.taken):
+                if not (plain or delivery.is_taken):
                     raise
                 answer = (getattr(error, "code", _FAILED), reason(error))
                 answers |= dict.fromkeys(others, answer)
@@ -156,33 +161,25 @@ class EmailSender:
             return dict.fromkeys(group, (error.code, error.message))
         answers = {named[one]: (answer.code, answer.message) for one, answer in refused.items()}
         taken = {one for one in group if one not in answers}
-        delivery.taken |= taken
+        delivery.done |= dict.fromkeys(taken, "")
         for address in taken:
             del self._deferrals[address]
         return answers
 
-    def _judge(self, answers: dict[str, tuple[int, str]], delivery: _Delivery) -> str | None:
-        """Try again what is refused for the time being; give what is refused for good."""
-        deferred = {}
+    def _judge(self, answers: dict[str, tuple[int, str]], delivery: _Delivery) -> list[str]:
+        """Note what is refused for good; give what is refused for the time being."""
+        deferred = []
         for address, (code, text) in answers.items():
             line = f"{address}: {code} {one_line(text)}"
             if code not in _TEMPORARY:
-                delivery.refused[address] = line
+                delivery.done[address] = line
                 continue
-            self._deferrals[address] += bool(delivery.taken)
-            if delivery.taken and self._deferrals[address] >= _PATIENCE:
-                delivery.refused[address] = line  # the others wait for their next message
+            self._deferrals[address] += delivery.is_taken
+            if delivery.is_taken and self._deferrals[address] >= _PATIENCE:
+                delivery.done[address] = line  # the others wait for their next message
             else:
-                deferred[address] = line
-        if deferred:
-            raise DeliveryError(self._hidden("; ".join(deferred.values())))
-        line = self._hidden("; ".join(delivery.refused.values()))
-        if not delivery.taken:
-            # No address has it: one that is corrected gets it.
-            if delivery.is_for_its_text:
-                raise ContentRefusedError(line, is_final=True)
-            raise DeliveryError(line)
-        return line or None
+                deferred.append(line)
+        return deferred
 
     async def close(self) -> None:
         """Nothing is kept open."""

@@ -5,7 +5,6 @@ import math
 import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from typing import Final
 
 import structlog
@@ -15,8 +14,10 @@ from adapters.protocol import Clock
 from service.alarms.silencing import Silencing
 from service.clock import wall_us
 from service.features.notifications import rules
+from service.features.notifications.delivery_record import DeliveryRecord
 from service.features.notifications.interface import NotificationState
 from service.features.notifications.messages import Item, OutgoingMessage
+from service.features.notifications.refusals import Refusals
 from service.features.notifications.sections import NotificationSection
 from service.features.notifications.sender import ContentRefusedError, DeliveryError, Sender
 from service.features.notifications.tables import Notification
@@ -29,76 +30,10 @@ URGENT_SHARE: Final = 1 / 6
 #: Wall seconds between two tries.
 RETRY_FIRST_S: Final = 2.0
 RETRY_LAST_S: Final = 300.0
-#: Tries in a row that fail before the notification counts as failing.
-FAILS_AFTER: Final = 3
-#: Tries and wall seconds after which is given up what a receiver refuses that accepts nothing.
-REFUSALS: Final = 3
-REFUSED_FOR_S: Final = 600.0
-#: Wall seconds between two tries of what was refused alone, at most.
-REFUSED_LAST_S: Final = 60.0
 #: Alarms in one message.
 MOST_ITEMS: Final = 200
 
 _log = structlog.get_logger(__name__)
-
-
-class DeliveryRecord:
-    """What became of the last messages to a recipient.
-
-    - ``tries``: how many have failed in a row.
-    - ``error``: of the last one that failed, or what is wrong with some addresses.
-    - ``given_up``: alarms of which a message was refused for good.
-    """
-
-    def __init__(self, id: str) -> None:
-        self.tries = 0
-        self.error = ""
-        self.failing_since_us: int | None = None
-        self.sent_us: int | None = None
-        self.given_up = 0
-        self._id = id
-
-    def accept(self, error: str) -> None:
-        """Note that a message was accepted; ``error``: what is wrong with some of its addresses."""
-        if self.tries >= FAILS_AFTER:
-            _log.info("notification_sent_again", notification=self._id)
-        self.tries, self.failing_since_us, self.error = 0, None, error
-
-    def fail(self, error: str) -> None:
-        """Note that a message was not accepted."""
-        self.tries += 1
-        self.error = error
-        if self.failing_since_us is None:
-            self.failing_since_us = wall_us()
-        if self.tries == FAILS_AFTER:
-            _log.error("notification_fails", notification=self._id, reason=error)
-
-    def give_up(self, error: str) -> None:
-        """Note that what is said of an alarm is not sent any more."""
-        self.given_up += 1
-        self.error = error
-
-    @property
-    def problem(self) -> str | None:
-        """What is wrong with it, if it has failed several times in a row."""
-        return None if self.tries < FAILS_AFTER else f"notification {self._id} fails: {self.error}"
-
-
-@dataclass(slots=True)
-class Refusal:
-    """Events of an alarm that a receiver has refused although they came alone.
-
-    - ``accepted``: messages that were accepted before it was refused first, with others or alone.
-    - ``is_final``: whether the same message is of no use later either.
-    - ``first_at``, ``last_at``: wall (monotonic) times of its tries.
-    """
-
-    events: tuple[str, ...]
-    accepted: int
-    is_final: bool
-    first_at: float
-    last_at: float = 0.0
-    tries: int = 0
 
 
 class NotificationQueue:
@@ -154,13 +89,7 @@ class NotificationQueue:
         self._batch: list[Item] = []
         self._urgent: list[Item] = []
         self._most = MOST_ITEMS
-        self._refusals: dict[str, Refusal] = {}
-        # Messages that had been accepted when an alarm was first in one that was refused.
-        self._suspects: dict[str, int] = {}
-        # Wall (monotonic) time from which one of them may be tried again.
-        self._refused_from = -math.inf
-        self._refused_backoff = Backoff(RETRY_FIRST_S, REFUSED_LAST_S)
-        self._accepted = 0
+        self._refusals = Refusals(RETRY_FIRST_S)
         # As they are now, also those that are over since.
         self._under_way: dict[str, Notification] = {}
         self.delivery = DeliveryRecord(section.id)
@@ -181,8 +110,7 @@ class NotificationQueue:
             self._wake.set()
         else:
             self._pending.pop(alarm_id, None)
-            self._refusals.pop(alarm_id, None)
-            self._suspects.pop(alarm_id, None)
+            self._refusals.forget(alarm_id)
         return before is None or _progress(before) != _progress(notification)
 
     def forget(self, assets: Iterable[str]) -> None:
@@ -191,8 +119,7 @@ class NotificationQueue:
         for kept in (self.notifications, self._pending, self._under_way):
             for alarm_id in [id for id, one in kept.items() if one.alarm.asset in gone]:
                 del kept[alarm_id]
-        self._refusals = {id: one for id, one in self._refusals.items() if id in self._pending}
-        self._suspects = {id: one for id, one in self._suspects.items() if id in self._pending}
+        self._refusals.keep(self._pending)
 
     def look(self) -> None:
         """Wake up: time has passed, and what was held back may be due."""
@@ -254,7 +181,7 @@ class NotificationQueue:
         items: list[Item] = []
         for notification in list(self._pending.values()):
             item = Item(notification, rules.due(notification, silencing, now_us))
-            if item.events and is_asked(item) and not self._is_refused(item):
+            if item.events and is_asked(item) and not self._refusals.holds(item):
                 items.append(item)
                 if len(items) == most:
                     break
@@ -263,19 +190,13 @@ class NotificationQueue:
         # What has changed meanwhile wakes its reader.
         return [item for item in items if self._pending.get(item.alarm.id) is item.notification]
 
-    def _is_refused(self, item: Item) -> bool:
-        refusal = self._refusals.get(item.alarm.id)
-        return refusal is not None and refusal.events == item.events
-
     def _refused_and_due(self) -> list[Item]:
         """Give what was refused alone and not tried for the longest time, to be tried alone."""
-        if time.monotonic() < self._refused_from:
-            return []
         now_us, silencing = self._clock.now_us(), self._silencing()
-        for alarm_id in sorted(self._refusals, key=lambda id: self._refusals[id].last_at):
+        for alarm_id in self._refusals.due():
             notification = self._pending[alarm_id]
             item = Item(notification, rules.due(notification, silencing, now_us))
-            if self._is_refused(item):
+            if self._refusals.holds(item):
                 return [item]
         return []
 
@@ -331,13 +252,8 @@ class NotificationQueue:
             return await self._divide(items, refused)
         self.delivery.accept(detail)
         self.delivery.sent_us, self._last_s = wall_us(), time.monotonic()
-        self._accepted += 1
-        self._refused_backoff.reset()
-        self._refused_from = -math.inf
+        self._refusals.note_accepted(items)
         self._most = min(MOST_ITEMS, 2 * self._most)
-        if items[0].alarm.id in self._refusals:
-            # It takes what it did not: what else it could not take goes out together again.
-            self._refusals = {id: one for id, one in self._refusals.items() if one.is_final}
         self._put_instead(items, [])
         self._finish(items, rules.sent)
         _log.info("notification_sent", notification=self.section.id, alarms=len(items))
@@ -355,46 +271,29 @@ class NotificationQueue:
             current = self._under_way.pop(item.alarm.id, None)
             if current is not None:
                 notification = outcome(current, item.events)
-                self._refusals.pop(item.alarm.id, None)
-                self._suspects.pop(item.alarm.id, None)
+                self._refusals.forget(item.alarm.id)
                 self.put(notification)
                 changed.append(notification)
         self._under_way = {}
         self._keep(changed)
 
     async def _divide(self, items: Sequence[Item], error: ContentRefusedError) -> bool:
-        """Halve what a receiver refuses, down to one alarm, and go on.
-
-        One alone waits while others are sent. If the refusal is final, it is given up when it is
-        refused again although the receiver has accepted others since, or for too long.
-        """
+        """Halve what a receiver refuses, down to one alarm, and go on: one alone waits."""
         if len(items) > 1:
             self._most = len(items) // 2
             self._put_instead(items, items[: self._most])
-            for item in items:
-                if item.alarm.id in self._pending:
-                    self._suspects.setdefault(item.alarm.id, self._accepted)
+            self._refusals.note_together(
+                item.alarm.id for item in items if item.alarm.id in self._pending
+            )
             return True
         (item,) = items
         self._put_instead(items, [])
         if item.alarm.id not in self._pending:  # shelved, say, while it was under way
             return True
-        refusal = self._refusals.get(item.alarm.id)
-        if refusal is None or refusal.events != item.events:
-            accepted = self._suspects.get(item.alarm.id, self._accepted)
-            refusal = Refusal(item.events, accepted, error.is_final, time.monotonic())
-        refusal.tries += 1
-        refusal.last_at = time.monotonic()
-        is_odd = refusal.tries > 1 and self._accepted > refusal.accepted
-        is_too_long = (
-            refusal.tries >= REFUSALS and refusal.last_at - refusal.first_at >= REFUSED_FOR_S
-        )
-        if error.is_final and (is_odd or is_too_long):
+        if self._refusals.note_alone(item, is_final=error.is_final):
             self._drop(item, str(error))
         else:
-            self._refusals[item.alarm.id] = refusal
             self.delivery.fail(str(error))
-        self._refused_from = time.monotonic() + self._refused_backoff.next()
         await asyncio.sleep(RETRY_FIRST_S)
         return True
 

@@ -145,9 +145,10 @@ def require(roles: Roles) -> Callable[[HTTPConnection], Coroutine[Any, Any, Prin
                 f"a key of role {principal.role} may not do this, "
                 f"expected {' or '.join(sorted(roles))}",
             )
-        route = connection.scope.get("route")
-        if isinstance(route, APIRoute) and connection.scope["path"].startswith("/api/"):
-            refuse_odd_query(connection, _parameters(route.dependant))
+        if connection.scope["query_string"] and connection.scope["path"].startswith("/api/"):
+            route = connection.scope.get("route")
+            if isinstance(route, APIRoute):
+                refuse_odd_query(connection, _parameters(route.dependant))
         return principal
 
     return caller_with_role

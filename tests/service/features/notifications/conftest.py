@@ -3,7 +3,7 @@
 import pytest
 from receivers import hook, mailbox
 
-from service.features.notifications import notification_queue, part
+from service.features.notifications import notification_queue, part, refusals
 from service.features.silences import part as silences
 from tests.service.cli.conftest import cli, commands, refused
 from tests.service.web.api.conftest import empty_store, patient, settings, world
@@ -26,7 +26,7 @@ def prompt(monkeypatch: pytest.MonkeyPatch) -> None:
     """Wall seconds of gathering and retrying are short."""
     monkeypatch.setattr(notification_queue, "GATHER_S", 0.2)
     monkeypatch.setattr(notification_queue, "RETRY_FIRST_S", 0.1)
-    monkeypatch.setattr(notification_queue, "REFUSED_LAST_S", 0.4)
+    monkeypatch.setattr(refusals, "LAST_S", 0.4)
     monkeypatch.setattr(part, "TICK_S", 0.02)
     monkeypatch.setattr(part, "LOOK_S", 0.1)
     monkeypatch.setattr(silences, "READ_S", 0.1)

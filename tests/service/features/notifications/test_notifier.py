@@ -21,7 +21,7 @@ from receivers import PASSWORD, Hook, Mailbox
 
 from service.alarms import AlarmBook
 from service.alarms.silencing import Silencing
-from service.features.notifications import mail, notification_queue
+from service.features.notifications import mail, refusals
 from service.features.notifications.part import Notifier
 from service.features.notifications.tables import NotificationRecords
 from service.features.silences.part import KnownSilences
@@ -295,7 +295,7 @@ async def test_a_message_that_becomes_shorter_doubles_no_mail(
     assert any("b@example.com" in recipients for recipients, _ in mailbox.got)
 
 
-async def test_an_address_that_is_always_refused_for_the_time_being_holds_up_nobody(
+async def test_an_address_that_is_always_refused_for_the_time_being_delays_no_other_message(
     bench: Bench, mailbox: Mailbox, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(mail, "_PATIENCE", 3)
@@ -502,7 +502,7 @@ async def test_one_alarm_that_is_never_taken_delays_no_later_one(bench: Bench, h
 async def test_a_return_that_is_refused_is_given_up_once(
     bench: Bench, hook: Hook, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(notification_queue, "REFUSED_FOR_S", 0.1)
+    monkeypatch.setattr(refusals, "REFUSED_FOR_S", 0.1)
     refuses(hook, lambda events: 422 if events[0]["event"] == "returned" else 204)
     async with Notified(bench, site(hook)) as notified:
         alarm = notified.raise_alarm()
@@ -522,7 +522,7 @@ async def test_a_return_that_is_refused_is_given_up_once(
 async def test_what_is_refused_and_nothing_else_comes_is_given_up_as_well(
     bench: Bench, hook: Hook, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(notification_queue, "REFUSED_FOR_S", 0.1)
+    monkeypatch.setattr(refusals, "REFUSED_FOR_S", 0.1)
     refuses(hook, lambda events: 422)
     async with Notified(bench, site(hook)) as notified:
         notified.raise_alarm()
