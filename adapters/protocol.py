@@ -52,8 +52,15 @@ class SourceHealth:
     errors: dict[str, int] = field(default_factory=dict)  # number of errors by kind
     #: What is wrong with single channels, by ``asset/channel``, where the source knows.
     problems: dict[str, str] = field(default_factory=dict)
+    #: By how many seconds the clocks of single channels are ahead of ours, by ``asset/channel``.
+    clocks_ahead_s: dict[str, float] = field(default_factory=dict)
     #: Whether it has been listened to for long enough to say who sends its values.
     settled: bool = True
+
+    @property
+    def is_well(self) -> bool:
+        """Whether it answers, and dates what it sends rightly."""
+        return self.up and not self.clocks_ahead_s
 
     def count_error(self, kind: str) -> None:
         """Add one to the number of errors of this kind."""

@@ -39,7 +39,7 @@ def _conditions(context: AlarmContext, rule: SensorFaultRule) -> Iterator[AlarmC
 
 
 def _suppressed(context: AlarmContext, channel: str, level: str) -> str | None:
-    return context.no_data(channel)
+    return context.no_data(channel) or context.wrong_clock(channel)
 
 
 def _points(subject: AlarmSubject, rule: SensorFaultRule) -> Iterator[PossibleAlarm]:
@@ -58,7 +58,7 @@ _GUIDANCE = Guidance(
         "run no heavier step and follow the neighbouring temperatures; "
         "have wire and sensor checked, replace the sensor"
     ),
-    suppression="while the channel sends no data at all",
+    suppression="while the channel sends no data at all, or its clock is ahead",
 )
 
 KIND = AlarmKind(

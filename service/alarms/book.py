@@ -23,6 +23,8 @@ from service.alarms.states import ACTIVE_STATES, SET_ASIDE_STATES, AlarmEvent, A
 from service.alarms.timers import Timer
 from service.clock import MICROSECONDS
 from service.domain.alarm_condition import AlarmCondition, EventKind
+from service.domain.alarm_kind import SENSOR_FAULT
+from service.domain.causes import STALE_DATA
 from service.store import Alarm, AlarmChange, AuditEntry, Outbox
 
 #: No alarm may be shelved for longer at a time, in process seconds.
@@ -34,7 +36,7 @@ _NOT_CONFIGURED = "no longer configured"
 _TIME_IS_OVER = "the shelving time has expired"
 _ONE_ALARM = "one alarm for all assets of its cause"
 # What is said to the alarm of a source counts for these of its channels, too.
-_COVERED = ("stale data", "sensor fault")
+_COVERED = (STALE_DATA, SENSOR_FAULT)
 _PASSED_ON = (AlarmEvent.ACKNOWLEDGE, AlarmEvent.SHELVE)
 _COMES_BACK = (AlarmEvent.UNSHELVE, AlarmEvent.PUT_BACK)
 

@@ -7,7 +7,7 @@ from uuid import uuid4
 
 from service.alarms.states import AlarmEvent, AlarmState, next_state
 from service.domain.alarm_condition import AlarmCondition, EventKind
-from service.domain.alarm_kind import SENSOR_FAULT
+from service.domain.alarm_kind import CLOCK_AHEAD, SENSOR_FAULT
 from service.domain.causes import STALE_DATA, is_shared
 from service.store import Alarm, AlarmTransition
 
@@ -76,7 +76,9 @@ def urgency(alarm: Alarm) -> tuple[int, int, int, int, int, str]:
     one priority, what is measured over a limit comes before what has no data, and both before what
     is only predicted; then what is over its limit by most whole units, then the newest.
     """
-    certainty = 2 if alarm.predicted else 1 if alarm.kind in (STALE_DATA, SENSOR_FAULT) else 0
+    certainty = (
+        2 if alarm.predicted else 1 if alarm.kind in (STALE_DATA, SENSOR_FAULT, CLOCK_AHEAD) else 0
+    )
     return (
         _LISTED.index(alarm.state),
         alarm.priority,

@@ -8,7 +8,12 @@ from service.alarms.book import AlarmBook
 from service.alarms.records import AlarmKey, assets_of
 from service.alarms.timers import Timer
 from service.domain.alarm_condition import AlarmCondition
+from service.domain.alarm_kind import CLOCK_AHEAD
+from service.domain.causes import STALE_DATA
 from service.store import Alarm
+
+#: What is said of a source for several assets, each of which has figures of its own.
+_OF_MANY = {STALE_DATA: "no data", CLOCK_AHEAD: "clock ahead, values uncertain"}
 
 
 @dataclass(slots=True)
@@ -157,5 +162,5 @@ def _message(key: AlarmKey, assets: Collection[str], first: AlarmCondition) -> s
     if len(assets) == 1:
         return first.message
     source = key[2].removeprefix("source:")
-    what = f"{source}: no data" if source else first.message
+    what = f"{source}: {_OF_MANY[key[1]]}" if key[1] in _OF_MANY else first.message
     return f"{what}, {len(assets)} assets"

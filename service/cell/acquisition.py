@@ -1,9 +1,10 @@
 """What works before the store is there: drivers, checks and the queue in front of the store."""
 
 import asyncio
-import math
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import replace
+from operator import itemgetter
 from types import MappingProxyType
 
 import structlog
@@ -12,6 +13,8 @@ from prometheus_client import CollectorRegistry
 
 from adapters.protocol import Clock, Driver, SourceHealth
 from adapters.samples import Batch, PlannedProfile, Sample
+from adapters.times import clock_ahead
+from service.domain.requests import PUSH_SOURCE
 from service.ingest import Ingest, QualityChecks, Spool
 from service.site.check_limits import CheckLimits
 from service.site.wiring import SourceWiring, Wiring, with_assets
@@ -79,7 +82,7 @@ class Acquisition:
             if driver is not None:
                 self._sources[name], self._by_name[name] = source, driver
         self._changing = asyncio.Lock()
-        self._problems: dict[str, tuple[float, Mapping[str, str]]] = {}
+        self._said: dict[str, tuple[float, SourceHealth]] = {}
         self._take: Callable[[Batch], None] | None = None
         # What the twins begin with, bounded by the number of channels.
         self._samples: dict[tuple[str, str], Sample] = {}
@@ -127,6 +130,9 @@ class Acquisition:
                 del self.refused[name]
             # Side by side: one that does not answer holds up no other.
             await asyncio.gather(*(self._change(name, wanted.get(name)) for name in changed))
+            # Also what a driver that ended meanwhile has sent last.
+            for asset in assets:
+                self.ingest.clocks.forget(asset)
 
     def _created(self, source: SourceWiring) -> Driver | None:
         """Make the driver of a source; None where it cannot be, which is noted.
@@ -148,7 +154,7 @@ class Acquisition:
             return
         self.refused.pop(name, None)
         await self.ingest.replace(name, driver)
-        self._problems.pop(name, None)
+        self._said.pop(name, None)
         if source is None or driver is None:
             self._by_name.pop(name, None)
             self._sources.pop(name, None)
@@ -157,24 +163,39 @@ class Acquisition:
             self._sources[name] = source
 
     def health(self) -> list[SourceHealth]:
-        """Health of every source, from memory."""
-        return [driver.health() for driver in self.drivers]
+        """Health of every source, from memory; of pushes only while a clock of theirs is ahead."""
+        found = [driver.health() for driver in self.drivers]
+        ahead_s = self.ingest.clocks.by_source(self._clock.now_us())
+        if not ahead_s:
+            return found
+        if PUSH_SOURCE in ahead_s:
+            found.append(SourceHealth(PUSH_SOURCE, PUSH_SOURCE, up=True, detail="ok"))
+        return [_with_clocks(one, ahead_s.get(one.name, {})) for one in found]
 
     def problem(self, source: str, asset: str, channel: str) -> str:
-        """Why a channel's latest sample is not good, as its source says; empty where it is.
+        """Why a channel's latest sample is not good, as its source says; empty where it is."""
+        said = self._says(source)
+        return "" if said is None else said.problems.get(f"{asset}/{channel}", "")
 
-        A source is asked ten times a second at most: a page of a thousand bad
-        channels asks for each of them.
+    def clock_ahead_s(self, source: str, asset: str, channel: str) -> float | None:
+        """By how many seconds the clock of a channel is ahead, as its source says."""
+        said = self._says(source)
+        return None if said is None else said.clocks_ahead_s.get(f"{asset}/{channel}")
+
+    def _says(self, source: str) -> SourceHealth | None:
+        """Give the health of a source; None where nothing is read from it.
+
+        It is asked ten times a second at most: a page of a thousand bad channels asks for each
+        of them.
         """
         driver = self._by_name.get(source)
         if driver is None:
-            return ""
+            return None
         now_s = time.monotonic()
-        asked_s, problems = self._problems.get(source, (-math.inf, {}))
-        if now_s - asked_s > ASK_AGAIN_S:
-            problems = driver.health().problems
-            self._problems[source] = now_s, problems
-        return problems.get(f"{asset}/{channel}", "")
+        known = self._said.get(source)
+        if known is None or now_s - known[0] > ASK_AGAIN_S:
+            known = self._said[source] = now_s, driver.health()
+        return known[1]
 
     def _hand_on(self, batch: Batch) -> None:
         if self._take is not None:
@@ -189,3 +210,14 @@ class Acquisition:
 def _limits(asset: str, wiring: Wiring | None) -> dict[str, CheckLimits]:
     channels = {} if wiring is None else wiring.channels.get(asset, {})
     return {name: facts.limits for name, facts in channels.items()}
+
+
+def _with_clocks(health: SourceHealth, ahead_s: Mapping[str, float]) -> SourceHealth:
+    """Add the clocks that are ahead, as their samples show."""
+    if not ahead_s:
+        return health
+    first, by_s = max(ahead_s.items(), key=itemgetter(1))
+    others = f" and {len(ahead_s) - 1} more" if len(ahead_s) > 1 else ""
+    text = f"{first}{others}: {clock_ahead(by_s)}"
+    detail = f"{health.detail}; {text}" if health.detail != "ok" else text
+    return replace(health, detail=detail, clocks_ahead_s={**health.clocks_ahead_s, **ahead_s})

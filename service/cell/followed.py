@@ -12,6 +12,7 @@ from typing import cast
 from anyio import to_thread
 
 from adapters.samples import Batch, PlannedProfile, Sample
+from adapters.times import clock_ahead
 from service.cell.absences import Absences
 from service.cell.active_models import active_models
 from service.cell.answers import AssetAnswers
@@ -233,6 +234,7 @@ class FollowedAssets(Part):
             store_samples=core.acquisition.ingest.submit,
             save_state=partial(self._states.save, asset.id),
             doubt=partial(self._doubt, asset.id),
+            ahead_s=partial(self._ahead_s, asset.id),
             shared=core.shared,
         )
 
@@ -281,8 +283,19 @@ class FollowedAssets(Part):
     def _doubt(self, asset: str, channel: str) -> str:
         """Why a channel's latest sample is not good, as a check found or its source says."""
         acquisition = self._core.acquisition
-        found = acquisition.checks.reason(asset, channel)
+        ahead_s = self._core.assets[asset].readings.clock_ahead_s(channel)
+        found = "" if ahead_s is None else clock_ahead(ahead_s)
+        found = found or acquisition.checks.reason(asset, channel)
         if found:
             return found
         facts = self._core.assets[asset].facts.get(channel)
         return "" if facts is None else acquisition.problem(facts.source, asset, channel)
+
+    def _ahead_s(self, asset: str, channel: str) -> float | None:
+        """By how many seconds the clock of a channel's source is ahead; None where it is not."""
+        acquisition = self._core.acquisition
+        found = acquisition.ingest.clocks.ahead_s(asset, channel)
+        facts = self._core.assets[asset].facts.get(channel)
+        if found is not None or facts is None:
+            return found
+        return acquisition.clock_ahead_s(facts.source, asset, channel)

@@ -191,7 +191,7 @@ class Health(Part):
 
     def _sources(self) -> Iterator[HealthCheck]:
         for source in self.sources():
-            status: Literal["ok", "degraded"] = "ok" if source.up else "degraded"
+            status: Literal["ok", "degraded"] = "ok" if source.is_well else "degraded"
             yield HealthCheck(f"source:{source.name}", status, source.detail)
 
     def _others(self) -> Iterator[HealthCheck]:

@@ -79,6 +79,7 @@ class SelfCheck(Part):
                 _log.warning("clock_set", by_s=round(step_s, 3))
             self._report_too_old()
             now_us = self.core.clock.now_us()
+            found = self.core.acquisition.health()
             sources = [
                 SourceDocument(
                     name=health.name,
@@ -87,7 +88,7 @@ class SelfCheck(Part):
                     detail=health.detail,
                     age_s=(now_us - health.last_good_us) / 1e6 if health.last_good_us else None,
                 )
-                for health in self.core.acquisition.health()
+                for health in found
             ]
             if self.core.kernels.progress:
                 sources.append(
@@ -110,7 +111,8 @@ class SelfCheck(Part):
                         age_s=None,
                     )
                 )
-            degraded = not all(source.up for source in sources)
+            is_well = all(source.is_well for source in found)
+            degraded = not (is_well and all(source.up for source in sources))
             self.core.live.publish(
                 "health",
                 None,

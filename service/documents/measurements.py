@@ -6,7 +6,7 @@ from pydantic import ConfigDict, Field, with_config
 from typing_extensions import TypedDict
 
 from service.clock import rfc3339_exact
-from service.documents.base import Document, Number, Page, Quality, Time
+from service.documents.base import Document, Number, Page, Quality, Time, is_none
 
 
 @with_config(ConfigDict(extra="forbid"))
@@ -82,3 +82,11 @@ class Pushed(Document):
     accepted: int = Field(description="Newly stored.", examples=[2])
     duplicates: int = Field(description="Already stored: sent again.", examples=[0])
     rejected: list[Rejected]
+    clock_ahead_s: float | None = Field(
+        None,
+        description="By how many seconds of process time the newest sample is ahead. Only where "
+        "that is more than 5 s of wall time: the clock of the sender is wrong, and samples of such "
+        "a channel are stored as uncertain, the newest with the time of its receipt.",
+        examples=[280.0],
+        exclude_if=is_none,
+    )

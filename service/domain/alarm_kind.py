@@ -27,6 +27,7 @@ from service.domain.section import Section
 DAY_S = 86_400.0
 LEVELS = ("warning", "alarm")
 SENSOR_FAULT = "sensor fault"
+CLOCK_AHEAD = "clock ahead"
 
 
 # ---------------------------------------------------------------------------------- settings
@@ -99,6 +100,9 @@ class LatestReadings(Protocol):
 
     def reason(self, channel: str, now_us: int) -> str:
         """Why a channel has no good value; empty when it has one."""
+
+    def clock_ahead_s(self, channel: str) -> float | None:
+        """Seconds by which the clock is ahead that sent the latest sample; None: it is not."""
 
 
 class SilentSources(Protocol):
@@ -216,6 +220,15 @@ class AlarmContext:
             missing = self._has_no_data(channel)
             self._no_data[channel] = f"no data for {label(channel).lower()}" if missing else None
         return self._no_data[channel]
+
+    def wrong_clock(self, channel: str) -> str | None:
+        """Reason that the clock of the channel's source is ahead, which has an alarm of its own."""
+        facts = self.channels.get(channel)
+        if facts is None or self.readings.clock_ahead_s(channel) is None:
+            return None
+        if not self.is_present(CLOCK_AHEAD, source_channel(facts.source), ""):
+            return None
+        return f"the clock of {facts.source} is ahead"
 
     @property
     def not_comparable(self) -> str | None:

@@ -3,20 +3,22 @@
 import asyncio
 import contextlib
 import math
-from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import replace
 from operator import attrgetter
 
 import structlog
-from prometheus_client import CollectorRegistry
+from prometheus_client import CollectorRegistry, Counter
 
 from adapters.backoff import Backoff
 from adapters.protocol import Clock, Driver
 from adapters.samples import Batch, Sample, is_good
+from service.domain.requests import PUSH_SOURCE
 from service.ingest.gaps import Gaps
 from service.ingest.metrics import SampleLedger, SourceMetrics, watch_queues
 from service.ingest.quality import QualityChecks
+from service.ingest.source_clocks import Call, SourceClocks
 from service.ingest.spool import Spool
 from service.ingest.writer import SampleWriter
 from service.store import Store, StoreUnavailableError, WriteCounts
@@ -50,6 +52,7 @@ class Ingest:
     - ``on_batch``: gets every batch of a driver, and pushed samples as a batch, in the event loop.
       It must return quickly; what it raises is logged and does not hold up the samples.
     - ``checks``: what every sample from outside must stand to be taken for good.
+    - ``clocks``: whose samples came from the future.
     """
 
     def __init__(
@@ -65,6 +68,12 @@ class Ingest:
         self._store = store
         self._checks = checks or QualityChecks({}, registry)
         self._clock = clock
+        self._ahead = Counter(
+            "bearing_twin_samples_ahead",
+            "Samples that are uncertain, as the clock of their source is ahead.",
+            registry=registry,
+        )
+        self.clocks = SourceClocks(clock.rate, self._ahead.inc)
         self._on_batch = on_batch
         self._ledger = SampleLedger(registry)
         self._source_metrics = SourceMetrics(registry)
@@ -182,10 +191,17 @@ class Ingest:
         if not samples:
             return _nothing()
         judged: list[Sample] = []
+        call = Call(self.clocks, PUSH_SOURCE)
         async with self._accepting:
             # In portions: a poll that is due meanwhile comes between two of them.
-            for begin in range(0, len(samples), PORTION):
-                judged += self._checks.judge(samples[begin : begin + PORTION])
+            for some in _portions(samples):
+                call.look(some)
+                await asyncio.sleep(0)
+            for some in _portions(samples if call.is_odd else ()):
+                call.collect(some)
+                await asyncio.sleep(0)
+            for some in _portions(samples):
+                judged += self._checks.judge(call.put_right(some))
                 await asyncio.sleep(0)
             try:
                 written = self._writer.put_with_result(judged)
@@ -261,18 +277,19 @@ class Ingest:
                             continue
                         if batch.poll_s is not None:
                             poll_seconds.observe(batch.poll_s)
-                        self._take(batch)
+                        self._take(batch, driver.name)
                 _log.warning("source_ended", source=driver.name, restart_in_s=backoff.wait_s)
             except Exception:
                 # Whatever a driver stumbles over must not end the other sources, nor itself.
                 _log.exception("source_failed", source=driver.name, restart_in_s=backoff.wait_s)
             await asyncio.sleep(backoff.next())
 
-    def _take(self, batch: Batch) -> None:
+    def _take(self, batch: Batch, source: str) -> None:
         if batch.samples:
+            timed = self.clocks.put_right(batch.samples, source)
             if self._gaps.may_close:
-                self.submit(self._gaps.closed_by(batch.samples, self._clock.now_us()))
-            judged = self._checks.judge(batch.samples)
+                self.submit(self._gaps.closed_by(timed, self._clock.now_us()))
+            judged = self._checks.judge(timed)
             if judged is not batch.samples:
                 batch = replace(batch, samples=list(judged))
             self._writer.put(batch.samples)
@@ -284,6 +301,10 @@ class Ingest:
         except Exception:
             # A fault in a twin must not cost the samples that the next poll would bring.
             _log.exception("batch_not_taken", samples=len(batch.samples), plans=len(batch.plans))
+
+
+def _portions(samples: Sequence[Sample]) -> Iterator[Sequence[Sample]]:
+    return (samples[begin : begin + PORTION] for begin in range(0, len(samples), PORTION))
 
 
 def _has_good(batch: Batch) -> bool:

@@ -65,6 +65,8 @@ class AssetRuntime:
         Keeps the estimate, so that a restart goes on from it, see `service.live.saving`.
     doubt : callable
         Why the latest sample of a channel is not good, where a check or the source says so.
+    ahead_s : callable
+        Seconds by which the clock behind a channel's latest sample is ahead; None: it is not.
     shared : SharedCauses, optional
         Puts the alarms of causes together that assets share.
 
@@ -89,12 +91,13 @@ class AssetRuntime:
         store_samples: Store,
         save_state: SaveState,
         doubt: Callable[[str], str] = lambda channel: "",
+        ahead_s: Callable[[str], float | None] = lambda channel: None,
         shared: SharedCauses | None = None,
     ) -> None:
         self.settings = settings
         self.make_number = next(self._numbers)
         self.facts = channels
-        self.readings = _readings(settings, channels, clock, doubt)
+        self.readings = _readings(settings, channels, clock, doubt, ahead_s)
         self.estimate = LiveEstimate(active, refused_beyond(operating_ranges(settings.bearing)))
         forecasting = Forecasting(settings, self.estimate, self.readings, clock, executor)
         self._watch = AlarmWatch(settings, channels, self.readings, self.estimate, alarms, shared)
@@ -346,12 +349,14 @@ def _readings(
     channels: Mapping[str, ChannelFacts],
     clock: Clock,
     doubt: Callable[[str], str],
+    ahead_s: Callable[[str], float | None],
 ) -> Readings:
     return Readings(
         settings.id,
         {name: allowed_age_s(facts.max_age_s, clock.rate) for name, facts in channels.items()},
         clock.now_us(),
         doubt=doubt,
+        ahead_s=ahead_s,
         learned_from_s={
             name: facts.learned_from_s
             for name, facts in channels.items()

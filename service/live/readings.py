@@ -83,6 +83,8 @@ class Readings:
     doubt : callable
         Why the latest sample of a channel is not good, where a check or the source says so; else
         empty.
+    ahead_s : callable
+        Seconds by which the clock behind a channel's latest sample is ahead; None: it is not.
     late : int
         Samples that came when a newer one of their channel was known already.
     learned_from_s : mapping of str to float
@@ -96,6 +98,7 @@ class Readings:
     began_us: int
     latest: dict[str, Sample] = field(default_factory=dict)
     doubt: Callable[[str], str] = lambda channel: ""
+    ahead_s: Callable[[str], float | None] = lambda channel: None
     late: int = 0
     learned_from_s: Mapping[str, float] = field(default_factory=dict)
     rate: float = 1.0
@@ -111,7 +114,7 @@ class Readings:
             if asset != self.asset:
                 continue
             known = latest.get(channel)
-            if known is not None and time_us < known.time_us and _is_late(sample, known):
+            if known is not None and time_us < known.time_us and self._is_late(sample, known):
                 self.late += 1
                 continue  # late data belong in the store, not on the screen
             latest[channel] = sample
@@ -218,6 +221,29 @@ class Readings:
         doubt = "" if self.is_stale(channel, now_us) else self.doubt(channel)
         return doubt or meaning(quality)
 
+    def clock_ahead_s(self, channel: str) -> float | None:
+        """Seconds by which the clock is ahead that sent the latest sample; None where it is not.
+
+        None, too, where the sample would be no good one with a right clock.
+        """
+        sample = self.latest.get(channel)
+        if sample is None or sample.quality != Quality.UNCERTAIN:
+            return None
+        return self.ahead_s(channel)
+
+    def _is_late(self, sample: Sample, known: Sample) -> bool:
+        """Whether a sample is older than the known one of its channel.
+
+        Their times say so, but for a clock that was set back: ours, when it was received before the
+        known one; or that of its source, when the known one came from the future and nothing newer
+        came for a second.
+        """
+        since_us = sample.received_us - known.received_us
+        if since_us < -_CLOCK_SET_BACK_US:
+            return False
+        was_ahead = known.time_us > known.received_us <= sample.time_us <= sample.received_us
+        return not (was_ahead and since_us > _CLOCK_SET_BACK_US * max(self.rate, 1.0))
+
     @staticmethod
     def _age_s(sample: Sample, now_us: int) -> float:
         """Process seconds between a sample and now, whichever way the clock was set meanwhile.
@@ -225,9 +251,3 @@ class Readings:
         A gateway's clock may be ahead of ours: such a sample is as old as its receipt.
         """
         return abs(now_us - min(sample.time_us, sample.received_us)) / 1e6
-
-
-def _is_late(sample: Sample, known: Sample) -> bool:
-    """Whether a newer sample is known; one from before the clock was set back is not newer."""
-    set_back = known.received_us - sample.received_us > _CLOCK_SET_BACK_US
-    return sample.time_us < known.time_us and not set_back

@@ -29,6 +29,7 @@ from service.bus.stream import LiveMessages, heartbeats
 from service.clock import ProcessClock, wall_us
 from service.documents.messages import ServiceHealth, SourceDocument
 from service.domain.errors import CellUnavailableError
+from service.domain.requests import PUSH_SOURCE
 from service.security.loopback import is_loopback
 from service.service_manager import ServiceManager
 from service.site.configuration import SettingsError
@@ -184,7 +185,7 @@ class _Start:
             ):
                 await stack.enter_async_context(background(work, name, stop))
             if waiting is not None:
-                handing = waiting.run(partial(_hand_over, ingest, store, is_known))
+                handing = waiting.run(partial(_hand_over, ingest, store, is_known, clock.rate))
                 await stack.enter_async_context(background(handing, "waiting pushes", stop))
             await stack.enter_async_context(app.router.lifespan_context(app))
             stack.push_async_callback(self._leave, bus)
@@ -242,6 +243,7 @@ async def _hand_over(
     ingest: CellIngest,
     store: Store,
     is_known: Callable[[str], bool],
+    clock_rate: float,
     asset: str,
     samples: PackedSamples,
     received_us: int,
@@ -250,9 +252,12 @@ async def _hand_over(
     if is_known(asset):
         await ingest.hand_over(asset, samples, received_us)
         return
+    from service.ingest.source_clocks import SourceClocks  # seldom
+
     # It was removed meanwhile: no cell will ever follow it, and its history stays.
     try:
-        rows = samples.unpack(asset, received_us)
+        clocks = SourceClocks(clock_rate)  # which the cell would have asked
+        rows = clocks.put_right(samples.unpack(asset, received_us), PUSH_SOURCE)
         await to_thread.run_sync(store.samples.write, rows)
     except StoreUnavailableError as error:
         raise CellUnavailableError(str(error)) from error

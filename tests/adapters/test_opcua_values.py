@@ -74,7 +74,9 @@ def test_a_value_is_good_only_if_all_of_it_is(
     reading = reading_of(found, config, NOW_US)
     assert is_bad(reading.quality) == math.isnan(reading.value)
     assert (reading.kind == "") == (reading.reason == "") == is_good(reading.quality)
-    assert reading.time_us <= NOW_US + 60_000_000
+    assert reading.time_us <= NOW_US + 5_000_000
+    assert reading.source_us == microseconds(source)
+    assert (reading.ahead_s > 5.0) == ((microseconds(source) or 0) > NOW_US + 5_000_000)
     if is_good(reading.quality):
         assert code >> 30 == 0
         assert reading.value == float(value) * scale
@@ -88,7 +90,7 @@ def judged(readings: list[tuple[int, float, int]]) -> list[tuple[int, bool]]:
     found = []
     for time_us, value, quality in readings:
         reading = NodeReading(time_us, value, quality, "", "", False)
-        one, is_same = compared(reading, point)
+        one, is_same = compared(reading, point, time_us)
         assert (one.reason == STANDS) == (one.quality == Quality.UNCERTAIN)
         found.append((one.quality, is_same))
     return found
@@ -105,6 +107,25 @@ def test_a_time_that_stands_still_dates_no_change() -> None:
         (good, False), (good, True), (good, False), (doubted, False), (doubted, True),
         (lost, False), (lost, True), (doubted, False), (good, False), (good, True),
     ]  # fmt: skip
+
+
+def test_a_value_whose_clock_is_ahead_stays_uncertain_until_it_changes() -> None:
+    point = FollowedNode("a", "load_n", OpcUaChannel(source="plc", node="i=1"))
+
+    def read(value: float, source_s: float, now_s: float) -> tuple[float, int, float]:
+        moment = moment_of(NOW_US + round(source_s * 1e6))
+        found = ua.DataValue(Value=ua.Variant(value), SourceTimestamp=moment)
+        now_us = NOW_US + round(now_s * 1e6)
+        reading, _ = compared(reading_of(found, point.config, now_us), point, now_us)
+        return (reading.time_us - NOW_US) / 1e6, reading.quality, reading.ahead_s
+
+    assert read(1.0, 280.0, 0.0) == (0.0, 64, 280.0)
+    for now_s in (5.0, 100.0, 276.0, 290.0):  # read again, and unchanged
+        assert read(1.0, 280.0, now_s) == (now_s, 64, 280.0)
+    assert point.problem == ""
+    assert read(2.0, 581.0, 300.0) == (300.0, 64, 280.0), "the same text while it is about the same"
+    assert read(4.0, 400.0, 450.0) == (400.0, 64, 280.0), "changed while the connection was lost"
+    assert read(3.0, 460.0, 461.0) == (460.0, 192, 0.0)
 
 
 @given(st.lists(st.tuples(st.integers(0, 3), st.sampled_from([1.0, 2.0]), st.just(192))))

@@ -13,7 +13,7 @@ from adapters.backoff import Backoff
 from adapters.drivers.opcua.backfill import fill_in
 from adapters.drivers.opcua.config import OpcUaChannel, OpcUaSource, check
 from adapters.drivers.opcua.session import Session, SessionError
-from adapters.drivers.opcua.values import FollowedNode, compared, reading_of
+from adapters.drivers.opcua.values import FollowedNode, compared, moment_of, reading_of
 from adapters.protocol import ChannelBinding, Clock, PlanBinding, SourceHealth
 from adapters.samples import Batch, Quality, Sample, is_bad, is_good, next_time_us
 
@@ -95,6 +95,7 @@ class OpcUaDriver:
             health,
             errors=dict(health.errors),
             problems={one.label: one.problem for one in self._points if one.problem},
+            clocks_ahead_s={one.label: one.ahead_s for one in self._points if one.ahead_s},
         )
 
     async def batches(self) -> AsyncIterator[Batch]:
@@ -181,7 +182,8 @@ class OpcUaDriver:
         ]
 
     def _sample(self, point: FollowedNode, value: Any, now_us: int, stands: bool) -> Sample | None:
-        reading, is_same = compared(reading_of(value, point.config, now_us), point)
+        found = reading_of(value, point.config, now_us, self._clock.rate)
+        reading, is_same = compared(found, point, now_us)
         time_us = reading.time_us
         first = point.label not in self._back
         if stands or first:
@@ -196,7 +198,13 @@ class OpcUaDriver:
             known_us = behind_us if self._behind_us is None else self._behind_us
             self._behind_us = min(behind_us, known_us)
         if point.lost_at_us and first:
-            if self._source.backfill and time_us > point.lost_at_us:
+            if self._source.backfill and reading.ahead_s:
+                # Its history has the times of that clock.
+                point.history_problem = (
+                    f"the loss until {moment_of(now_us):%Y-%m-%dT%H:%M:%SZ} was not filled in: "
+                    f"the clock was ahead by {reading.ahead_s:.0f} s"
+                )
+            elif self._source.backfill and time_us > point.lost_at_us:
                 point.gaps.append((point.lost_at_us, time_us))
                 if len(point.gaps) > MOST_GAPS:
                     del point.gaps[1]  # the first one may be under way
@@ -229,6 +237,7 @@ class OpcUaDriver:
         for node, reason in refused.items():
             for point in self._by_node[node]:
                 self._note(point, int(Quality.CONFIG_ERROR), "node", reason)
+                point.ahead_s = 0.0
                 samples.append(self._bad(point, Quality.CONFIG_ERROR, now_us))
         return samples
 

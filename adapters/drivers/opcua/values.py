@@ -8,9 +8,10 @@ from typing import Any, NamedTuple
 from adapters.drivers.opcua.codes import has_overflown, quality_of
 from adapters.drivers.opcua.config import OpcUaChannel
 from adapters.samples import Quality, is_bad, is_good
+from adapters.times import SOURCE_AHEAD_S, clock_ahead, source_limit_us
 
+OLD_US = 30_000_000  # an older source time says nothing of the present clock
 STANDS = "source time stands still while the value changes"
-FUTURE_US = 60_000_000  # a source time further ahead than this is none
 _EARLIEST_US = 946_684_800_000_000  # the year 2000; before it no clock has been set
 
 
@@ -18,7 +19,8 @@ class NodeReading(NamedTuple):
     """A value of a node.
 
     `kind` and `reason` say what is wrong with it, for counting and for people; empty when it is
-    good. `overflown` means that the server lost values before it.
+    good. `overflown` means that the server lost values before it. `source_us` is the time that its
+    source gave; `ahead_s` is how far it lies ahead of ours, where it is too far.
     """
 
     time_us: int
@@ -27,6 +29,8 @@ class NodeReading(NamedTuple):
     kind: str
     reason: str
     overflown: bool
+    source_us: int | None = None
+    ahead_s: float = 0.0
 
 
 @dataclass(slots=True)
@@ -37,7 +41,8 @@ class FollowedNode:
     channel: str
     config: OpcUaChannel
     last_us: int = 0  # of the latest sample
-    source_us: int = 0  # of the latest reading, as the server gave it
+    source_us: int = 0  # of the latest reading, as it is dated here
+    ahead_us: int = 0  # of the latest reading whose source is ahead, as that gave it
     latest: tuple[float | None, int] | None = None  # value and quality of the latest reading
     #: The value or its quality changed, and their time did not: no time says when.
     stands: bool = False
@@ -45,6 +50,7 @@ class FollowedNode:
     lost_at_us: int = 0  # latest sample before a loss that has not been filled in
     gaps: list[tuple[int, int]] = field(default_factory=list)
     problem: str = ""
+    ahead_s: float = 0.0
     history_problem: str = ""
     quiet_until: float = 0.0  # wall (monotonic) time before which no further line is logged
 
@@ -54,12 +60,30 @@ class FollowedNode:
         return f"{self.asset}/{self.channel}"
 
 
-def compared(reading: NodeReading, point: FollowedNode) -> tuple[NodeReading, bool]:
+def _with_its_clock(reading: NodeReading, point: FollowedNode, now_us: int) -> NodeReading:
+    """Say by how much the clock of a source is ahead: while a value stands, its time does, too."""
+    is_known = point.ahead_s > 0.0 and reading.source_us is not None
+    if is_known and reading.source_us == point.ahead_us:
+        time_us = reading.time_us if reading.ahead_s else now_us
+        reading = reading._replace(time_us=time_us, ahead_s=point.ahead_s)
+    elif is_known and (reading.source_us or 0) < now_us - OLD_US:
+        reading = reading._replace(ahead_s=point.ahead_s)  # by the same clock, some time ago
+    elif is_known and abs(reading.ahead_s - point.ahead_s) <= SOURCE_AHEAD_S:
+        reading = reading._replace(ahead_s=point.ahead_s)  # the same text from now on
+    point.ahead_s, point.ahead_us = reading.ahead_s, reading.source_us or 0
+    if reading.ahead_s and (is_good(reading.quality) or reading.kind == "time"):
+        uncertain, reason = int(Quality.UNCERTAIN), clock_ahead(reading.ahead_s)
+        reading = reading._replace(quality=uncertain, kind="time", reason=reason)
+    return reading
+
+
+def compared(reading: NodeReading, point: FollowedNode, now_us: int) -> tuple[NodeReading, bool]:
     """Compare a reading with the one before, and remember it.
 
     Returns the reading, which is uncertain while its time stands still though the value or its
     quality changed; and whether it is the same one sent again.
     """
+    reading = _with_its_clock(reading, point, now_us)
     latest = None if math.isnan(reading.value) else reading.value, reading.quality
     is_same_time, is_same = reading.time_us == point.source_us, latest == point.latest
     point.stands = is_same_time and (point.stands or not is_same)
@@ -69,7 +93,7 @@ def compared(reading: NodeReading, point: FollowedNode) -> tuple[NodeReading, bo
     return reading, is_same_time and is_same
 
 
-def reading_of(found: Any, config: OpcUaChannel, now_us: int) -> NodeReading:
+def reading_of(found: Any, config: OpcUaChannel, now_us: int, rate: float = 1.0) -> NodeReading:
     """Turn a data value into a reading; never good unless it is in every respect."""
     code = int(found.StatusCode.value) if found.StatusCode is not None else 0
     quality = quality_of(code)
@@ -85,16 +109,19 @@ def reading_of(found: Any, config: OpcUaChannel, now_us: int) -> NodeReading:
             reason = f"outside the valid range {list(config.valid_range)}"
         elif not is_good(quality):
             kind, reason = "status", f"server says {_name(found)}"
-    time_us = microseconds(found.SourceTimestamp)
-    if time_us is None or time_us > now_us + FUTURE_US:
-        missing = time_us is None
+    time_us = source_us = microseconds(found.SourceTimestamp)
+    limit_us, ahead_s = source_limit_us(now_us, rate), 0.0
+    if time_us is None or time_us > limit_us:
+        ahead_s = 0.0 if time_us is None else (time_us - now_us) / 1e6
         server_us = microseconds(found.ServerTimestamp)
-        trusted = server_us is not None and server_us <= now_us + FUTURE_US
+        trusted = server_us is not None and server_us <= limit_us
         time_us = server_us if server_us is not None and trusted else now_us
         if is_good(quality):
             quality, kind = int(Quality.UNCERTAIN), "time"
-            reason = "no source time" if missing else "source time lies in the future"
-    return NodeReading(time_us, value, quality, kind, reason, has_overflown(code))
+            reason = clock_ahead(ahead_s) if ahead_s else "no source time"
+    return NodeReading(
+        time_us, value, quality, kind, reason, has_overflown(code), source_us, ahead_s
+    )
 
 
 def microseconds(moment: datetime | None) -> int | None:

@@ -26,6 +26,7 @@ from service.web.api.pushes import (
     SAMPLES_MAX,
     Judge,
     PushRoute,
+    clock_ahead_s,
     give_turn_back,
     in_thread,
     refused,
@@ -96,9 +97,16 @@ async def post_samples_of_many(context: Context, request: Request, body: PushFor
         push: JudgedPush = await in_thread(request, len(body.samples), judge_rows, *given)
         return push
 
-    counts, push = await _accept(context, request, judged)
+    now_us, rate = context.clock.now_us(), context.clock.rate
+    counts, push = await _accept(context, request, now_us, judged)
+    newest_us = max(push.samples.time_us, default=None)
     return json_response(
-        Pushed(accepted=counts.stored, duplicates=counts.duplicates, rejected=push.rejected)
+        Pushed(
+            accepted=counts.stored,
+            duplicates=counts.duplicates,
+            rejected=push.rejected,
+            clock_ahead_s=clock_ahead_s(newest_us, now_us, rate),
+        )
     )
 
 
@@ -156,7 +164,7 @@ async def post_lines(
         result: JudgedPush = push
         return result
 
-    _, push = await _accept(context, request, judged)
+    _, push = await _accept(context, request, context.clock.now_us(), judged)
     if push.rejected:
         raise _partial_write(push, line_of, text.count("\n") + 1)
     return Response(status_code=204)
@@ -176,13 +184,12 @@ def _partial_write(push: JudgedPush, line_of: list[int], lines: int) -> Problem:
 
 
 async def _accept(
-    context: ServiceContext, request: Request, judged: Callable[[Judge], Any]
+    context: ServiceContext, request: Request, now_us: int, judged: Callable[[Judge], Any]
 ) -> tuple[WriteCounts, JudgedPush]:
     """Judge a push and store what is good of it."""
-    now_us, rate = context.clock.now_us(), context.clock.rate
 
     async def again() -> JudgedPush:
-        push: JudgedPush = await judged(Judge(now_us, rate, context.ingest.kept_from_us))
+        push: JudgedPush = await judged(Judge(now_us, context.ingest.kept_from_us))
         return push
 
     push = await again()

@@ -15,7 +15,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from adapters.samples import Quality, Sample, is_bad
-from adapters.times import EARLIEST_US, POSSIBLE
+from adapters.times import EARLIEST_US, POSSIBLE, latest_us, source_limit_us
 from adapters.words import shown
 from service.clock import MICROSECONDS, rfc3339
 from service.documents.measurements import Rejected
@@ -34,7 +34,6 @@ _ONE_OF_MANY = f"also rejected; only the first {REASONS_MAX} give a reason"
 #: This many samples are judged in less time than a thread takes to begin.
 _FEW = 200
 _BYTES_OF_A_SAMPLE = 80
-_AHEAD_S = 300.0
 
 
 def sample_schema(names: Mapping[str, Any], title: str) -> dict[str, Any]:
@@ -122,16 +121,15 @@ def judge(
     asset: str,
     channels: Mapping[str, str],
     now_us: int,
-    rate: float,
     kept_from_us: int,
 ) -> Verdict:
     """Sort samples into those that can be taken and those that cannot.
 
-    - ``now_us``: process time; a sample too far ahead of it would hide what comes after.
+    - ``now_us``: process time; no sample can be of more than a day later.
     - ``kept_from_us``: the store takes no samples from before this time, UTC microseconds.
     """
     verdict = Verdict()
-    judge = Judge(now_us, rate, kept_from_us)
+    judge = Judge(now_us, kept_from_us)
     for index, raw in enumerate(samples):
         try:
             sample = judge.sample(raw, asset, channels)
@@ -155,6 +153,13 @@ def reject(rejected: list[Rejected], index: int, error: ValueError) -> None:
     rejected.append(Rejected(index=index, detail=detail))
 
 
+def clock_ahead_s(newest_us: int | None, now_us: int, rate: float) -> float | None:
+    """Process seconds by which the newest sample is too far ahead; None where it is not."""
+    if newest_us is None or newest_us <= source_limit_us(now_us, rate):
+        return None
+    return round((newest_us - now_us) / MICROSECONDS, 1)
+
+
 class TooOldError(ValueError):
     """The store takes no sample of this time any more."""
 
@@ -170,13 +175,13 @@ class TooOldError(ValueError):
 class Judge:
     """Makes samples of what was pushed in one call, or says what is wrong with it.
 
-    - ``now_us``: process time; a sample too far ahead of it would hide what comes after.
+    - ``now_us``: process time; no sample can be of more than a day later.
     - ``kept_from_us``: the store takes no samples from before this time, UTC microseconds.
     """
 
-    def __init__(self, now_us: int, rate: float, kept_from_us: int) -> None:
+    def __init__(self, now_us: int, kept_from_us: int) -> None:
         self.now_us = now_us
-        self._latest_us = now_us + round(_AHEAD_S * max(rate, 1.0) * MICROSECONDS)
+        self._latest_us = latest_us(now_us)
         self._kept_from_us = max(kept_from_us, EARLIEST_US)
         # The samples of one moment have one time: it is read once.
         self._times_us: dict[str, int] = {}
@@ -212,7 +217,7 @@ class Judge:
         if self.takes(sample.time_us):
             return sample
         if sample.time_us > self._latest_us:
-            raise ValueError(f"time {shown(time)}: lies in the future")
+            raise ValueError(f"time {shown(time)}: expected {POSSIBLE}")
         raise TooOldError(sample, shown(time), self._kept_from_us)
 
     def takes(self, time_us: int) -> bool:

@@ -98,6 +98,19 @@ def test_a_lost_gateway_is_one_alarm_with_its_assets_and_ends_once(site: Site) -
     assert (counts.in_last_24_h, [one.count for one in counts.most_frequent]) == (1, [1])
 
 
+def test_a_clock_that_is_ahead_is_named_as_that_for_all_its_assets(bench: Bench) -> None:
+    text = "gateway-1: clock ahead by 280 s, values uncertain"
+    shared = SharedCauses(bench.book)
+    for asset in ("bench-1", "bench-2"):
+        shared.take(
+            replace(OF_SOURCE, asset=asset, kind="clock ahead", message=text, on_delay_s=0.0),
+            bench.clock.us,
+        )
+    shared.evaluate()
+    (alarm,) = bench.book.active()
+    assert alarm.message == "gateway-1: clock ahead, values uncertain, 2 assets"
+
+
 def test_each_asset_has_the_alarm_and_its_journal(site: Site) -> None:
     site.run(30, lost=ASSETS[:3])
     for asset in ASSETS[:3]:

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from adapters.protocol import Driver, SourceHealth
+from adapters.samples import Sample
 from service.cell.acquisition import Acquisition
 from service.clock import ProcessClock
 from service.ingest import Spool
@@ -67,6 +68,33 @@ async def test_asking_for_all_channels_asks_each_source_once(
     monkeypatch.setattr("service.cell.acquisition.ASK_AGAIN_S", -1.0)
     ask_for_all()
     assert asked == {f"plc-{number}": 1 + len(CHANNELS) for number in range(count)}
+    spool.close()
+
+
+async def test_pushes_are_among_the_sources_while_a_clock_of_theirs_is_ahead(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "site.toml").write_text(site(tmp_path, 1))
+    clock = ProcessClock()
+    spool = Spool.open(tmp_path, 16)
+    acquisition = Acquisition(wire(load_settings(tmp_path / "site.toml")), clock, spool)
+    clocks = acquisition.ingest.clocks
+    assert [one.name for one in acquisition.health()] == ["plc-0"]
+    now_us = clock.now_us()
+    ahead = [
+        Sample("a-0", name, now_us + round(by_s * 1e6), 1.0, 192, now_us)
+        for name, by_s in (("load_n", 279.0), ("ambient_c", 280.0))
+    ]
+    clocks.put_right(ahead, "push")
+    (_, push) = acquisition.health()
+    assert (push.name, push.up, push.clocks_ahead_s["a-0/load_n"]) == ("push", True, 279.0)
+    assert push.detail == ("a-0/ambient_c and 1 more: the clock of its source is ahead by 280 s")
+    clocks.forget("a-0")
+    clocks.put_right(ahead, "plc-0")
+    assert acquisition.health()[0].detail.endswith("ahead by 280 s")
+    assert acquisition.clock_ahead_s("plc-0", "a-0", "load_n") is None, "of what the source says"
+    await acquisition.change({"a-0": None})
+    assert acquisition.health() == []
     spool.close()
 
 

@@ -351,8 +351,8 @@ async def test_samples_from_before_what_is_kept_are_counted_and_reported(tmp_pat
     assert hall.ingest.too_old("a") is None
     source = ScriptedSource()
     async with hall.running(source):
-        old = [Sample("a", "x", 946_684_800_000_000 + k, 1.0, 192, 0) for k in range(3)]
-        source.script.put_nowait(Batch([*old, Sample("a", "x", now_us, 2.0, 192, 0)]))
+        old = [Sample("a", "x", 946_684_800_000_000 + k, 1.0, 192, now_us) for k in range(3)]
+        source.script.put_nowait(Batch([*old, Sample("a", "x", now_us, 2.0, 192, now_us)]))
         await hall.until_true(lambda: hall.metric("samples_stored_total") == 1)
         await hall.until_true(lambda: hall.ingest.counts()["waiting"] == 0)
     assert hall.metric("samples_skipped_total", reason="too_old") == 3

@@ -343,6 +343,41 @@ def test_a_silent_source_is_one_alarm_not_many(scene: Bench) -> None:
     assert scene.sensors()["sensor fault"].suppressed_reason == "no data for inner ring"
 
 
+# ---------------------------------------------------------------------- clocks
+def test_a_clock_that_is_ahead_is_one_alarm_and_no_fault_of_its_sensors(scene: Bench) -> None:
+    ahead_s = {RING: 281.0, "ambient_c": 280.0}
+    scene.readings.ahead_s = ahead_s.get
+
+    def clocks() -> dict[str, bool | None]:
+        return {one.channel: one.active for one in scene.conditions("clock ahead")}
+
+    assert clocks() == {"source:pt100": None, "source:drive": None}, "nothing has been heard"
+    for channel in ahead_s:
+        scene.read(50.0, Quality.UNCERTAIN, channel)
+    scene.read(1500.0, channel="speed_rpm")
+    assert clocks() == {"source:pt100": True, "source:drive": False}
+    condition, _ = scene.conditions("clock ahead")
+    assert condition.message == "pt100: clock ahead by 281 s, values uncertain"
+    assert (condition.priority, condition.covers) == (2, (RING, "ambient_c"))
+    assert scene.sensors()["sensor fault"].suppressed_reason is None, "it is not there yet"
+    scene.present.add(("clock ahead", "source:pt100", ""))
+    fault = scene.sensors()["sensor fault"]
+    assert (fault.active, fault.suppressed_reason) == (True, "the clock of pt100 is ahead")
+
+    scene.read(math.nan, Quality.SENSOR_FAILURE)
+    assert scene.sensors()["sensor fault"].suppressed_reason is None, "no fault of the clock"
+    scene.read(50.0, Quality.UNCERTAIN)
+    scene.present.add(("stale data", "source:pt100", ""))
+    condition, _ = scene.conditions("clock ahead")
+    assert condition.suppressed_reason == "source pt100 lost"
+
+    scene.now_us += 20_000_000
+    assert clocks() == {"source:pt100": None, "source:drive": None}, "silent: it is not known"
+    ahead_s.clear()
+    scene.read(50.0)
+    assert clocks()["source:pt100"] is False
+
+
 # ---------------------------------------------------------------------- sensors
 @pytest.mark.parametrize(
     ("quality", "faulty"),

@@ -147,6 +147,22 @@ def test_the_reason_is_the_best_that_is_known(readings: Readings) -> None:
     assert readings.reason(channel, at(20)) == "stale: no new value"
 
 
+def test_a_clock_some_seconds_ahead_that_is_put_right_is_heard_at_once(readings: Readings) -> None:
+    for second in range(5):
+        readings.add([sample(44.0, second + 4.5, received_after_s=second)])
+    assert readings.add([sample(97.0, 5.5)]), "more than a second after the one before"
+    assert readings.good_value(RING, at(6)) == 97.0
+    assert not readings.add([sample(44.0, 5.2, received_after_s=5.6)]), "late all the same"
+    assert readings.late == 1
+
+
+def test_what_such_a_clock_sends_again_is_late(readings: Readings) -> None:
+    readings.add([sample(44.0, 4.0, received_after_s=0.0)])
+    assert not readings.add([sample(43.0, 3.5, received_after_s=0.5)])
+    assert not readings.add([sample(42.0, -1.0, received_after_s=2.0)]), "from before it all"
+    assert readings.good_value(RING, at(2)) == 44.0
+
+
 def test_late_samples_are_counted(readings: Readings) -> None:
     for after_s in (5.0, 1.0, 2.0):
         readings.add([sample(60.0, after_s, received_after_s=6.0)])

@@ -38,6 +38,7 @@ from service.web.api.pushes import (
     PushRequest,
     PushRoute,
     Verdict,
+    clock_ahead_s,
     give_turn_back,
     in_thread,
     judge,
@@ -198,7 +199,7 @@ async def post_measurements(
 
     async def judged() -> Verdict:
         kept_from_us = context.ingest.kept_from_us
-        given = (body.samples, asset.id, channels, now_us, rate, kept_from_us)
+        given = (body.samples, asset.id, channels, now_us, kept_from_us)
         verdict: Verdict = await in_thread(request, len(body.samples), judge, *given)
         return verdict
 
@@ -226,8 +227,14 @@ async def post_measurements(
     if counts.stored + counts.duplicates < len(verdict.samples):
         # The time from which samples are kept moved on meanwhile.
         verdict = await judged()
+    newest_us = verdict.samples[-1].time_us if verdict.samples else None
     return json_response(
-        Pushed(accepted=counts.stored, duplicates=counts.duplicates, rejected=verdict.rejected)
+        Pushed(
+            accepted=counts.stored,
+            duplicates=counts.duplicates,
+            rejected=verdict.rejected,
+            clock_ahead_s=clock_ahead_s(newest_us, now_us, rate),
+        )
     )
 
 

@@ -74,7 +74,7 @@ def shown(sample: Sample) -> Sample:
 @example([_row(), _row(value=None), _row(value=float("nan")), _row(value=float("inf"))])
 @example([_row(), _row("rig-2"), _row("gone"), _row(channel=True), _row(time=True)])
 def test_each_row_is_judged_as_a_push_of_one_asset_judges_it(rows: list[Any]) -> None:
-    push = judge_rows(rows, ASSETS.get, Judge(NOW_US, 1.0, KEPT_FROM_US))
+    push = judge_rows(rows, ASSETS.get, Judge(NOW_US, KEPT_FROM_US))
     samples, too_old = map(unpacked, push.packed)
     wrong = {one.index: one.detail for one in push.rejected}
     assert len(wrong) == len(push.rejected) == len(rows) - push.count
@@ -87,7 +87,7 @@ def test_each_row_is_judged_as_a_push_of_one_asset_judges_it(rows: list[Any]) ->
             if isinstance(row, dict) and row.get("asset") == asset
         ]
         mine = [rows[index] for index in places]
-        verdict = judge(mine, asset, channels, NOW_US, 1.0, KEPT_FROM_US)
+        verdict = judge(mine, asset, channels, NOW_US, KEPT_FROM_US)
         assert [one for one in samples if one.asset == asset] == [*map(shown, verdict.samples)]
         old = sorted(verdict.too_old, key=attrgetter("time_us"))
         assert [one for one in too_old if one.asset == asset] == [*map(shown, old)]

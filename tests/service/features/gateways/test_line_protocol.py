@@ -12,7 +12,7 @@ CHANNELS = {"t_inner_ring_c": "push", "speed rpm": "push", "load_n": "plc"}
 
 
 def judged(text: str) -> tuple[int, list[int], list[str]]:
-    judge = Judge(NOW_US, 1.0, 0)
+    judge = Judge(NOW_US, 0)
     push, line_of = judge_lines(text, 1, {"rig-2": CHANNELS}.get, judge, 20_000)
     wrong = [f"{line_of[one.index]}: {one.detail}" for one in push.rejected]
     return push.count, line_of, wrong
@@ -35,7 +35,7 @@ def test_any_text_is_read_or_named(text: str) -> None:
     time_ns=st.integers(EARLIEST_US * 1000, NOW_US * 1000),
 )
 def test_what_a_client_writes_is_what_is_stored(value: float, time_ns: int) -> None:
-    judge = Judge(NOW_US, 1.0, 0)
+    judge = Judge(NOW_US, 0)
     line = f"rig-2,a=b t_inner_ring_c={value!r},speed\\ rpm=3i {time_ns}"
     push, _ = judge_lines(line, 1, {"rig-2": CHANNELS}.get, judge, 9)
     assert not push.rejected

@@ -96,11 +96,40 @@ async def test_wrong_sample_is_rejected_and_its_neighbours_are_not(
     assert detail in rejected.detail
 
 
-async def test_sample_far_in_the_future_is_rejected(world: Any) -> None:
-    answer = await push(world, sample(world, -3600), sample(world, -60), "no object")
+async def test_no_sample_can_be_of_the_day_after_tomorrow(world: Any) -> None:
+    answer = await push(world, sample(world, -2 * 86_400), sample(world, 60), "no object")
     assert answer.accepted == 1
     assert [rejected.index for rejected in answer.rejected] == [0, 2]
-    assert "future" in answer.rejected[0].detail
+    assert "expected a time from 1990 to tomorrow" in answer.rejected[0].detail
+
+
+@pytest.mark.parametrize("ahead_s", [40.0, 280.0, 7200.0])
+@pytest.mark.parametrize("path", [PATH, "/api/v1/measurements"])
+async def test_the_samples_of_a_clock_that_is_ahead_are_of_now_and_uncertain(
+    world: Any, path: str, ahead_s: float
+) -> None:
+    of_asset = {"asset": "rig-2"} if path != PATH else {}
+    samples = [
+        sample(world, -ahead_s + 2) | of_asset,
+        sample(world, -ahead_s, value=61.0) | of_asset,
+        sample(world, 1, channel="ambient_c", value=21.0) | of_asset,
+    ]
+    before_us = world.clock.now_us()
+    for count in ({"accepted": 3, "duplicates": 0}, {"accepted": 0, "duplicates": 3}):
+        response = await world.client("gateway").post(path, json={"samples": samples})
+        answer = response.json()
+        assert answer == count | {"rejected": [], "clock_ahead_s": answer["clock_ahead_s"]}
+        assert answer["clock_ahead_s"] == pytest.approx(ahead_s, abs=5.0)
+    assert stored(world) == [(INNER, 60.0, 64), ("ambient_c", 21.0, 192), (INNER, 61.0, 64)]
+    rows = world.store.samples.read("rig-2", [INNER], 0, world.clock.now_us() + 10**12, 100)
+    assert rows[1].time_us - rows[0].time_us == pytest.approx(2_000_000, abs=1000)
+    assert before_us - 5_000_000 < rows[1].time_us <= world.clock.now_us()
+
+
+async def test_a_clock_that_is_some_seconds_ahead_is_right(world: Any) -> None:
+    response = await world.client("gateway").post(PATH, json={"samples": [sample(world, -4)]})
+    assert response.json() == {"accepted": 1, "duplicates": 0, "rejected": []}
+    assert stored(world) == [(INNER, 60.0, 192)]
 
 
 async def test_channel_with_a_wire_takes_no_pushes(world: Any) -> None:

@@ -5,7 +5,7 @@ import { RINGS } from '../parts/channels.js';
 
 export const GOOD = 192;
 export const UNCERTAIN = 64;
-const LOST_KINDS = ['stale data', 'sensor fault'];
+const LOST_KINDS = ['stale data', 'sensor fault', 'clock ahead'];
 export const isActive = (alarm) => alarm.state === 'UNACK' || alarm.state === 'ACKED';
 export const isDistrust = (alarm) => LOST_KINDS.includes(alarm.kind);
 const channelOf = (asset, name) => asset?.channels.find((channel) => channel.name === name);
@@ -30,8 +30,8 @@ function whyUnusable(state, name, tag, ageS) {
   const { source, max_age_s: maxAgeS } = channelOf(state.asset, name) ?? {};
   const health = state.sources.find((one) => one.name === source);
   if (health && !health.up) return `source ${source} does not answer`;
-  const alarm = [...state.alarms.values()].find((one) =>
-    one.channel === name && isDistrust(one) && isActive(one));
+  const alarm = [...state.alarms.values()].find((one) => isDistrust(one) && isActive(one)
+    && (one.channel === name || (one.channel === `source:${source}` && tag.quality === UNCERTAIN)));
   if (alarm) return alarm.message;
   if (tag.quality < GOOD) return qualityText(tag.quality);
   if (isNumber(maxAgeS) && ageS > maxAgeS) return 'no new value';
@@ -43,10 +43,10 @@ function qualityText(quality) {
   const words = {
     4: 'configuration error', 8: 'not connected', 12: 'device failure', 16: 'sensor failure',
     20: 'last known value', 24: 'no communication', 28: 'out of service',
-    32: 'waiting for the first value', 64: 'uncertain', 68: 'last usable value',
+    32: 'waiting for the first value', 68: 'last usable value',
     80: 'sensor not accurate', 84: 'out of range', 88: 'sub-normal',
   };
-  return words[quality & 0xfc] ?? (quality >= GOOD ? 'good' : quality >= 64 ? 'uncertain' : 'bad');
+  return words[quality & 0xfc] ?? (quality >= UNCERTAIN ? 'uncertain' : 'bad');
 }
 
 /** A reading for ears: its value while it can be used, else for how long it is lost. */

@@ -38,7 +38,7 @@ function example(asset, assetId, names, clock) {
 }
 
 const sourceRow = (source, driver, channels) => v('li', {}, icon('bad', 'hollow'),
-  v('div', {}, v('b', {}, source === PUSH ? 'push: no values posted yet'
+  v('div', {}, v('b', {}, source === PUSH ? `push: ${driver?.detail ?? 'no values posted yet'}`
     : driver?.up === false ? `${source}: ${driver.detail || 'does not answer'}`
       : `${source}: answers, no usable value yet`),
   v('span', { class: 'names' }, channels.map((name) => v('span', { class: 'chip' }, name)))));
