@@ -273,6 +273,23 @@ async def test_a_can_log_that_cannot_be_read_is_one_line(
     assert "\n" not in str(refused.value)
 
 
+async def test_a_row_from_before_the_first_one_has_no_place_in_a_play(tmp_path: Path) -> None:
+    rows = "time_s,x\n100,1\n40,2\n101,3\n100.5,4\n"
+    samples, health = await watched(table(tmp_path, rows), {"load_n": {"column": "x"}}, 3)
+    assert [(one.time_us - START_US, one.value) for one in samples] == [
+        (0, 1.0), (1_000_000, 3.0), (500_000, 4.0)
+    ]  # fmt: skip
+    assert health.errors == {"row": 1}
+    assert "is before the first row" in health.detail
+
+
+@pytest.mark.parametrize("speed", [0.0, 1.0])
+async def test_a_can_log_without_a_frame_is_refused(tmp_path: Path, speed: float) -> None:
+    path = asc(tmp_path, "Fri Mar 20 08:00:00.000 2026")
+    with pytest.raises(ConfigurationError, match=r"run.asc' holds no frame"):
+        await play(path, SPEED, 1, dbc=DBC, speed=speed)
+
+
 async def test_a_file_that_is_damaged_further_on_has_ended_there(tmp_path: Path) -> None:
     path = table(tmp_path, "time,x\n2026-03-01T12:00:00Z,1\n2026-03-01T12:00:01Z,2\n")
     path.write_bytes(path.read_bytes() + b"2026-03-01T12:00:02Z,\xff\n")

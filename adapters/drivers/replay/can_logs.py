@@ -3,12 +3,14 @@
 import math
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TextIO, cast
 
 from adapters.configuration import ConfigurationError
+from adapters.drivers.replay.asc_log import AscText, encoding
 from adapters.words import one_line
 
 if TYPE_CHECKING:
@@ -16,7 +18,6 @@ if TYPE_CHECKING:
 
 # What python-can raises for a log that is damaged, or in a dialect it does not know.
 _DAMAGED = (ValueError, LookupError, TypeError, ArithmeticError, OSError, EOFError)
-_HEADER_BYTES = 4096
 
 
 @contextmanager
@@ -25,7 +26,7 @@ def open_log(path: Path) -> Iterator[Iterator["can.Message"]]:
 
     The date of an ASC file has no time zone: it counts as the local time of this machine. Without
     a date times count from zero. Frames without a time are left out. Raises `ConfigurationError`
-    if the log cannot be read, also in the middle of it.
+    if the log cannot be read, also in the middle of it, and at the end of one that is cut.
     """
     import can
     from can.io.blf import BLFParseError
@@ -41,8 +42,13 @@ def open_log(path: Path) -> Iterator[Iterator["can.Message"]]:
             try:
                 frame = next(found, None)
             except damaged as error:
-                raise wrong(f"cannot be read further than {read} frames ({error})") from error
+                if not has_ended():
+                    why = str(error) or "no object follows"
+                    raise wrong(f"cannot be read further than {read} frames ({why})") from error
+                frame = None
             if frame is None:
+                if was_cut():
+                    raise wrong(f"is cut behind {read} frames: its last part is not whole")
                 return
             if read == 0 and getattr(log, "timestamps_format", None) == "relative":
                 raise wrong("times count from frame to frame; expected a log of absolute times")
@@ -50,25 +56,23 @@ def open_log(path: Path) -> Iterator[Iterator["can.Message"]]:
             if math.isfinite(frame.timestamp):
                 yield frame
 
+    has_ended: Callable[[], bool] = bool
+    was_cut: Callable[[], bool]
     with ExitStack() as stack:
         try:
             if path.suffix.lower() == ".asc":
-                text = stack.enter_context(path.open(encoding=_encoding(path), errors="replace"))
-                log: can.io.generic.MessageReader = can.ASCReader(text, relative_timestamp=False)
+                file = stack.enter_context(path.open(encoding=encoding(path), errors="replace"))
+                text = AscText(file)
+                log: can.io.generic.MessageReader = can.ASCReader(
+                    cast("TextIO", text), relative_timestamp=False
+                )
+                was_cut = partial(getattr, text, "is_cut")
             else:
-                log = can.BLFReader(stack.enter_context(path.open("rb")))
+                from adapters.drivers.replay import blf_log
+
+                log = blf = blf_log.CheckedBlfReader(stack.enter_context(path.open("rb")))
+                was_cut = partial(blf_log.is_cut, path, blf)
+                has_ended = partial(blf_log.has_ended, path, blf)
         except damaged as error:
             raise wrong(f"cannot be read ({error})") from error
         yield frames()
-
-
-def _encoding(path: Path) -> str:
-    """Encoding of a text: UTF-8, or the one of Windows where its head is none of it."""
-    with path.open("rb") as file:
-        # A character that is cut in two at the end does no harm.
-        head = file.read(_HEADER_BYTES).rpartition(b"\n")[0]
-    try:
-        head.decode("utf-8")
-    except UnicodeDecodeError:
-        return "cp1252"
-    return "utf-8-sig"

@@ -27,6 +27,8 @@ logger = logging.getLogger(__name__)
 # At full speed: less than what ingest takes in, so that nothing is left behind.
 FAST_BATCH_SAMPLES = 5000
 FAST_PAUSE_WALL_S = 0.05
+#: Rows that are left out in one go.
+FEW_ROWS = 200
 REPEAT_PAUSE_S = 1.0  # process seconds between the end and the next beginning
 
 Event = tuple[int, list[Sample]]
@@ -94,10 +96,12 @@ class ReplayDriver:
         self._health.up, self._health.detail = False, ended
         await asyncio.Event().wait()
 
-    def _leave_out(self, error: RowError) -> None:
-        """Report a row that cannot be played."""
+    async def _leave_out(self, error: RowError) -> None:
+        """Report a row that cannot be played; of many, others have their turn between them."""
         self._health.count_error("row")
         count = self._health.errors["row"]
+        if count % FEW_ROWS == 0:
+            await asyncio.sleep(0)
         if count == 1:
             logger.warning("source %s: left out: %s", self.name, error)
         self._health.detail = f"{count} rows left out, the latest: {error}"
@@ -117,7 +121,7 @@ class ReplayDriver:
                 if event is None:
                     break
                 if isinstance(event, RowError):
-                    self._leave_out(event)
+                    await self._leave_out(event)
                     continue
                 time_us, samples = event
                 if not samples:
@@ -130,6 +134,9 @@ class ReplayDriver:
                         await asyncio.sleep(FAST_PAUSE_WALL_S)
                     continue
                 first_us = time_us if first_us is None else first_us
+                if time_us < first_us:  # it would be stamped before the play began
+                    await self._leave_out(RowError(f"{dated(time_us)} is before the first row"))
+                    continue
                 due_us = began_us + round((time_us - first_us) / speed)
                 ahead_s = (due_us - self._clock.now_us()) / 1e6
                 if ahead_s > 0.0:
@@ -172,7 +179,11 @@ def check(
         bind(*_as_can(source, channels))
         with open_log(source.file) as frames:
             first = next(frames, None)
-        if source.speed == 0.0 and first is not None and not _is_dated(first.timestamp):
+        if first is None:
+            raise ConfigurationError(
+                f"source {source.name!r}: file {str(source.file)!r} holds no frame"
+            )
+        if source.speed == 0.0 and not _is_dated(first.timestamp):
             raise _undated(source, "a date at the beginning of the log")
         return
     with open_recording(source.file) as recording:
