@@ -155,7 +155,9 @@ class NotificationQueue:
                 while time.monotonic() < await self._free_s():
                     await self._woken()
                 while items := await self._next_batch():
-                    if await self._send(items):
+                    goes_on = await self._send(items)
+                    _end_if_cancelled()
+                    if goes_on:
                         backoff.reset()
                     else:
                         await asyncio.sleep(backoff.next())
@@ -177,10 +179,11 @@ class NotificationQueue:
         self, most: int = sys.maxsize, is_asked: Callable[[Item], bool] = lambda item: True
     ) -> list[Item]:
         """What may be sent now, of what is asked; of thousands, all at once would delay a poll."""
-        now_us, silencing, steps = self._clock.now_us(), self._silencing(), Steps()
+        silencing, steps = self._silencing(), Steps()
         items: list[Item] = []
         for notification in list(self._pending.values()):
-            item = Item(notification, rules.due(notification, silencing, now_us))
+            # The clock may be set in a pause.
+            item = Item(notification, rules.due(notification, silencing, self._clock.now_us()))
             if item.events and is_asked(item) and not self._refusals.holds(item):
                 items.append(item)
                 if len(items) == most:
@@ -316,6 +319,17 @@ class NotificationQueue:
         )
         self._give_up(item, error)
         self._finish([item], rules.not_taken)
+
+
+def _end_if_cancelled() -> None:
+    """End a task that was cancelled while it sent.
+
+    `asyncio.wait_for` of Python 3.11, which aiosmtplib uses, swallows a cancellation that comes
+    together with the answer it waits for; the service would not stop.
+    """
+    task = asyncio.current_task()
+    if task is not None and task.cancelling():
+        raise asyncio.CancelledError
 
 
 def _is_urgent(item: Item) -> bool:
