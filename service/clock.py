@@ -20,6 +20,8 @@ DAY_US = 24 * HOUR_US
 _ANCHOR_FILE = "clock.json"
 # Time servers correct a clock by less; process seconds at rate 1.
 _CLOCK_SET_S = 1.0
+# Wall seconds within which a cell follows a clock that was set, see `service.cell.cell_clock`.
+_FOLLOWED_WITHIN_S = 0.5
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _LATEST_US = 32_503_680_000_000_000  # the year 3000
 _FIRST_MOMENT_US = -62_135_596_800_000_000  # of the year 1
@@ -144,6 +146,14 @@ class ProcessClock:
     async def sleep(self, process_seconds: float) -> None:
         """Wait for a span of process time, in seconds."""
         await asyncio.sleep(max(process_seconds, 0.0) / self.rate)
+
+
+def is_since_set(time_us: int, now_us: int, rate: float) -> bool:
+    """Whether a time is one by a clock that was set a moment ago, not one of before.
+
+    A sender of its own may have followed that clock before us.
+    """
+    return 0 <= now_us - time_us <= _FOLLOWED_WITHIN_S * max(rate, 1.0) * MICROSECONDS
 
 
 class ClockWatch:

@@ -107,6 +107,15 @@ class Part:
     def alarm_changed(self, alarm: Any) -> None:
         """Note that an alarm has changed; returns at once, from any thread."""
 
+    def clock_set(self, by_us: int) -> None:
+        """Move the times from which spans are counted: process time was set by so much.
+
+        Returns at once. Alarms have their times from before still; they are moved next.
+        """
+
+    def keep_moved(self) -> None:
+        """Have written what was moved as it was loaded: the clock was set since the last run."""
+
     def settle(self, twin: Any) -> None:
         """Prepare what follows an asset, new or made again."""
 

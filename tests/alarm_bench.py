@@ -98,15 +98,15 @@ class Bench:
         assert self.outbox.flush(30)
         return self.store.alarms.journal(limit=100_000).items[::-1]
 
-    def restart(self) -> None:
+    def restart(self, loaded_by_us: int | None = 0) -> None:
         self.close()
-        self._open()
+        self._open(loaded_by_us)
 
     def close(self) -> None:
         self.outbox.close()
         self.store.close()
 
-    def _open(self) -> None:
+    def _open(self, loaded_by_us: int | None = 0) -> None:
         self.store = Store.open("", self.data_dir)
         self.outbox = Outbox.open(self.data_dir, self.store)
-        self.book = AlarmBook(self.outbox, self.clock, self.told.append)
+        self.book = AlarmBook(self.outbox, self.clock, self.told.append, loaded_by_us=loaded_by_us)

@@ -55,6 +55,8 @@ class AlarmBook:
       when it has become normal. It must return quickly.
     - ``begins_empty``: whether the open alarms are another cell's until `take_over` names their
       assets.
+    - ``loaded_by_us``: by how many microseconds the clock was set since the open alarms were dated.
+      None: by another clock; they go by the calendar, and no setting of this one moves them.
     """
 
     def __init__(
@@ -64,11 +66,15 @@ class AlarmBook:
         on_change: Callable[[Alarm], None],
         *,
         begins_empty: bool = False,
+        loaded_by_us: int | None = 0,
     ) -> None:
         self._clock = clock
         self._on_change = on_change
         self._lock = threading.RLock()
         self._register = Register([] if begins_empty else outbox.load_alarms())
+        if loaded_by_us is not None:
+            self._register.dated_here()
+            self._register.clock_set(loaded_by_us)
         self._outbox = outbox
         self._changes = AlarmChanges(self._register, outbox, on_change)
 
@@ -189,6 +195,23 @@ class AlarmBook:
             )
             self._outbox.record(AlarmChange(None, lines))
 
+    def dated_elsewhere(self) -> set[str]:
+        """Give the ids of alarms that another clock dated, and that go by the calendar."""
+        with self._lock:
+            return self._register.dated_elsewhere()
+
+    def keep_moved(self) -> None:
+        """Have all open alarms written as they are, where times were moved as they were loaded."""
+        with self._lock:
+            for watched in self._register.listed(None, normal=False):
+                self._changes.replace(watched.alarm)
+
+    def clock_set(self, by_us: int) -> None:
+        """Let delays, shelving and what stands go on: the clock was set by so much."""
+        with self._lock:
+            for alarm in self._register.clock_set(by_us):
+                self._changes.replace(alarm)
+
     # ------------------------------------------------------------------ what people say
     def acknowledge(
         self, alarm_id: str, who: str, comment: str = "", audit: AuditEntry | None = None
@@ -266,6 +289,11 @@ class AlarmBook:
         with self._lock:
             self._end_shelving(self._clock.now_us())
             return self._register.find(alarm_id)
+
+    def loaded(self) -> list[Alarm]:
+        """All alarms that are not over, as they are: no shelving ends by this."""
+        with self._lock:
+            return [watched.shown for watched in self._register.listed(None, normal=False)]
 
     def present(self, asset: str) -> frozenset[tuple[str, str, str]]:
         """Kind, channel and level of every condition of an asset that is there.
@@ -361,7 +389,7 @@ class AlarmBook:
             self._changes.replace(shared[key])
 
     def _end_shelving(self, now_us: int) -> None:
-        """Bring back what was shelved long enough; also after the clock was set back by hours."""
+        """Bring back what was shelved long enough, or by a clock that was ahead by hours."""
         longest_us = round(LONGEST_SHELVING_S * MICROSECONDS)
         for alarm in self._register.shelving_over(now_us, longest_us, _BACK_AT_ONCE):
             condition = self._register.condition(alarm)

@@ -162,6 +162,26 @@ def with_peak(alarm: Alarm, now_us: int) -> Alarm:
     return replace(alarm, peak_value=value, peak_at_us=now_us)
 
 
+def moved(alarm: Alarm, by_us: int) -> Alarm:
+    """Give an alarm that is not over its times by a clock that was set by so much.
+
+    What the journal says of it stays as it was written.
+    """
+
+    def later(time_us: int | None) -> int | None:
+        return time_us and time_us + by_us
+
+    return replace(
+        alarm,
+        since_us=alarm.since_us + by_us,
+        raised_at_us=later(alarm.raised_at_us) or 0,
+        returned_at_us=later(alarm.returned_at_us),
+        acknowledged_at_us=later(alarm.acknowledged_at_us),
+        shelved_until_us=later(alarm.shelved_until_us),
+        peak_at_us=later(alarm.peak_at_us),
+    )
+
+
 def normal_alarm(condition: AlarmCondition, now_us: int) -> Alarm:
     """Begin a record: a condition that is watched and not there."""
     alarm = Alarm(

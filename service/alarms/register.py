@@ -9,6 +9,7 @@ from service.alarms.records import (
     AlarmKey,
     assets_of,
     key_of,
+    moved,
     normal_alarm,
     updated,
     urgency,
@@ -91,6 +92,8 @@ class Register:
         self._lists: dict[AlarmKey, tuple[str, ...]] = {}
         self._listing: defaultdict[str, dict[AlarmKey, None]] = defaultdict(dict)
         self.surplus: list[Alarm] = []
+        # By id: since when alarms are in their state that were dated by another clock.
+        self._elsewhere: dict[str, int] = {}
         self.add(alarms)
 
     def add(self, alarms: Iterable[Alarm]) -> None:
@@ -106,6 +109,7 @@ class Register:
                 self.drop(key)
                 known = self._watched[key[0]][key] = self._open[key[0]][key] = Watched(alarm)
                 self._keys[alarm.id] = key
+                self._elsewhere[alarm.id] = alarm.since_us
                 self._note(key, alarm)
             else:
                 self.surplus.append(alarm)
@@ -174,7 +178,7 @@ class Register:
     def shelving_over(self, now_us: int, longest_us: int, most: int) -> list[Alarm]:
         """Some of the alarms whose time is over, or lies further ahead than any may.
 
-        ``longest_us``: no alarm is shelved for longer than that, unless the clock was set back;
+        ``longest_us``: no alarm is shelved for longer than that, but by another clock;
         ``most``: so many at most; the next call gives the next ones.
         """
         if self._looked_us <= now_us < self._none_before_us:
@@ -189,6 +193,40 @@ class Register:
         ends_us = min((self._shelved[key] for key in waiting), default=math.inf)
         self._none_before_us = ends_us if len(over) <= most else now_us
         return [self._open[key[0]][key].alarm for key in over[:most]]
+
+    def dated_elsewhere(self) -> set[str]:
+        """Give the ids of open alarms whose times are by another clock, and go by the calendar."""
+        return {
+            watched.alarm.id
+            for of_asset in self._open.values()
+            for watched in of_asset.values()
+            if self._elsewhere.get(watched.alarm.id) == watched.alarm.since_us
+        }
+
+    def dated_here(self) -> None:
+        """Take the times of all alarms for times by this clock."""
+        self._elsewhere.clear()
+
+    def clock_set(self, by_us: int) -> list[Alarm]:
+        """Move all times, as the clock was set by so much; gives the open alarms as they are then.
+
+        An alarm that was never raised and is not set aside has no time that counts.
+        """
+        elsewhere = self.dated_elsewhere()
+        for of_asset in self._watched.values():
+            for watched in of_asset.values():
+                if watched.timer is not None:
+                    watched.timer.clock_set(by_us)
+        open_alarms = [
+            moved(watched.alarm, by_us)
+            for of_asset in self._open.values()
+            for watched in of_asset.values()
+            if watched.alarm.id not in elsewhere
+        ]
+        for alarm in open_alarms:
+            self.keep(alarm)
+        self._looked_us, self._none_before_us = math.inf, -math.inf
+        return open_alarms
 
     def keep(self, alarm: Alarm) -> None:
         """Take in an alarm that stays in its state."""
@@ -215,6 +253,7 @@ class Register:
                 if not alarm.raised_at_us:  # this life has not begun yet
                     watched.alarm = replace(watched.alarm, id=alarm.id)
                 self._keys.pop(alarm.id, None)
+                self._elsewhere.pop(alarm.id, None)
                 self._keys[watched.alarm.id] = key
         self._note(key, alarm)
 
@@ -232,6 +271,7 @@ class Register:
         self._open[key[0]].pop(key, None)
         if watched is not None:
             self._keys.pop(watched.alarm.id, None)
+            self._elsewhere.pop(watched.alarm.id, None)
             self._note(key, replace(watched.alarm, state=_NORMAL, shelved_until_us=None))
 
     def _note(self, key: AlarmKey, alarm: Alarm) -> None:

@@ -97,6 +97,13 @@ class SharedCauses:
         """Give all assets that have, or could have, what an alarm is about."""
         return {*assets_of(alarm), *self._of.get(key, ())}
 
+    def clock_set(self, by_us: int) -> None:
+        """Let the delays go on: the clock was set by so much."""
+        for of in self._of.values():
+            for member in of.values():
+                if member.timer is not None:
+                    member.timer.clock_set(by_us)
+
     def evaluate(self) -> None:
         """Judge every cause by what its assets have said so far."""
         alarms = self._book.shared()

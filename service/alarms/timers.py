@@ -17,6 +17,11 @@ class Timer:
         self._last_us = now_us
         return self._total_us / MICROSECONDS
 
+    def clock_set(self, by_us: int) -> None:
+        """Count on as if nothing had happened: the clock was set by so much."""
+        if self._last_us is not None:
+            self._last_us += by_us
+
     def pause(self) -> None:
         """Stand still until the condition is known again."""
         self._last_us = None

@@ -7,6 +7,7 @@ from dataclasses import fields
 from functools import partial
 
 import structlog
+from anyio import to_thread
 from prometheus_client import Histogram
 
 from service.alarms.records import assets_of
@@ -24,6 +25,7 @@ from service.cell.answers import (
     StreamAnswers,
     handlers_of,
 )
+from service.cell.cell_clock import CellClock
 from service.cell.core import Core
 from service.cell.followed import FollowedAssets
 from service.cell.health import Health
@@ -32,7 +34,6 @@ from service.cell.retention import StoreMaintenance
 from service.cell.self_check import SelfCheck, report_unconfigured
 from service.cell.share import Share
 from service.cell.stored_assets import AssetActions, StoredAssets
-from service.clock import ProcessClock
 from service.feature_folders import modules
 from service.jobs.automatic import identify_automatically
 from service.jobs.executor import make_executor
@@ -92,7 +93,7 @@ class Cell:
         wiring: Wiring,
         store: Store,
         outbox: Outbox,
-        clock: ProcessClock,
+        clock: CellClock,
         acquisition: Acquisition,
         bus: CellBus,
         kernels: Kernels,
@@ -152,10 +153,11 @@ class Cell:
             part.read_store()
         self._followed.begin_with([*of_file, *of_store])
         if core.share is not None:
+            core.clock.move_with(self._clock_set)
             return
         left = [
             alarm
-            for alarm in core.alarms.active()
+            for alarm in core.alarms.loaded()
             if core.assets.keys().isdisjoint(assets_of(alarm))
         ]
         report_unconfigured(core.store, core.assets, left)
@@ -167,6 +169,30 @@ class Cell:
         core.alarms.record_events(
             sorted(self._stored_assets.newly_kept), "configuration not used", _KEPT
         )
+        # The last: nothing is moved twice if a store that is away lets all begin again.
+        if core.loaded_by_us:
+            core.alarms.keep_moved()
+            for part in core.parts:
+                part.keep_moved()
+        core.clock.move_with(self._clock_set)
+
+    def _clock_set(self, by_us: int) -> None:
+        """Let all spans go on as they were: the clock was set while they are counted."""
+        core = self.core
+        moves = [
+            # Before the alarms: a part that knows an alarm by its times finds it again.
+            *(part.clock_set for part in core.parts),
+            core.alarms.clock_set,
+            core.shared.clock_set,
+            core.acquisition.ingest.clocks.clock_set,
+            *(twin.clock_set for twin in core.assets.values()),
+        ]
+        for move in moves:
+            try:
+                move(by_us)
+            except Exception:
+                # What one of them stumbles over keeps the others from nothing.
+                _log.exception("times_not_moved")
 
     async def _apply_changes(self) -> dict[str, str]:
         """Take up what has changed in the store; returns which assets cannot be followed, and why.
@@ -197,6 +223,8 @@ class Cell:
                 await part.start(stop)
             ready()
             await stop.wait()
+            await to_thread.run_sync(self.core.clock.keep_mark)
+            self.core.clock.leave()
             self.core.bus.report(CellState("the start after a stop"))
             self.core.live.close("the service stops")
 

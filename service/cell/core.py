@@ -13,9 +13,9 @@ from service.bus.interface import STREAM_TOPIC, CellBus
 from service.bus.stream import LiveMessages
 from service.bus.subscription import Message
 from service.cell.acquisition import Acquisition
+from service.cell.cell_clock import CellClock
 from service.cell.kernels import Kernels
 from service.cell.share import Share
-from service.clock import ProcessClock
 from service.documents.alarms import alarm_document
 from service.ingest.metrics import watch_damage, watch_forecasts, watch_late, watch_outbox
 from service.jobs.history import AssetHistory
@@ -46,6 +46,9 @@ class Core:
         Those that are followed, by id.
     parts
         All parts, in the order in which they start.
+    loaded_by_us
+        By how much the clock was set since the last run: times that are loaded of it are moved by
+        so much. None where that is not known; they go by the calendar then.
     jobs
         Identifications; made after this, since they need it.
     """
@@ -53,7 +56,7 @@ class Core:
     settings: Settings
     store: Store
     outbox: Outbox
-    clock: ProcessClock
+    clock: CellClock
     acquisition: Acquisition
     bus: CellBus
     kernels: Kernels
@@ -63,15 +66,23 @@ class Core:
     histories: dict[str, AssetHistory] = field(default_factory=dict)
     parts: list[Part] = field(default_factory=list)
     silencing: Silencing = field(default_factory=Silencing)
+    loaded_by_us: int | None = field(init=False)
     jobs: IdentificationJobs = field(init=False)
     live: LiveMessages = field(init=False)
     alarms: AlarmBook = field(init=False)
     shared: SharedCauses = field(init=False)
 
     def __post_init__(self) -> None:
+        # What other cells leave was dated by their clocks.
+        by_us = self.clock.since_last_run_us()
+        self.loaded_by_us = by_us if self.share is None else None
         self.live = LiveMessages(self.clock, self.bus.epoch, on_message=self._hand_on)
         self.alarms = AlarmBook(
-            self.outbox, self.clock, self._alarm_changed, begins_empty=self.share is not None
+            self.outbox,
+            self.clock,
+            self._alarm_changed,
+            begins_empty=self.share is not None,
+            loaded_by_us=self.loaded_by_us,
         )
         self.shared = SharedCauses(self.alarms)
         registry, spool = self.registry, self.acquisition.spool

@@ -24,6 +24,7 @@ from service.jobs.models import machine_of
 from service.live.asset import AssetRuntime
 from service.live.estimate import RunningModel
 from service.live.kept import KeptState
+from service.live.saving import move_kept
 from service.live.twins import Twins
 from service.site.asset_section import AssetSection
 from service.site.asset_tables import CheckedAsset
@@ -82,6 +83,8 @@ class FollowedAssets(Part):
         self._add(self._made(assets))
         if self._core.share is None:
             self._kept_states = cast(dict[str, KeptState], self._core.store.states.load_all())
+            for state in self._kept_states.values() if self._core.loaded_by_us else ():
+                move_kept(state, self._core.loaded_by_us or 0)
 
     async def start(self, stop: asyncio.Event) -> None:
         """Begin to work, and to take samples."""

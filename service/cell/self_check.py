@@ -1,7 +1,6 @@
 """What the cell finds out about itself: the health of sources, and what is wrong with files."""
 
 import asyncio
-import time
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -9,11 +8,13 @@ from typing import Final
 import structlog
 from prometheus_client import Counter
 
+from adapters.protocol import SourceHealth
 from service.alarms import AlarmCondition
+from service.cell.cell_clock import unset_s
 from service.cell.core import Core
 from service.cell.retention import StoreMaintenance
 from service.cell.stored_assets import StoredAssets
-from service.clock import ClockWatch
+from service.clock import is_since_set
 from service.documents.messages import ServiceHealth, SourceDocument
 from service.domain.causes import HISTORY_NOT_KEPT
 from service.live.asset import AssetRuntime
@@ -40,6 +41,8 @@ class SelfCheck(Part):
     stored_assets: StoredAssets
 
     def __post_init__(self) -> None:
+        # By source: when its last good sample came, and by how much the clock was set since.
+        self._moved: dict[str, tuple[int, int]] = {}
         self._clock_steps = Counter(
             "bearing_twin_clock_steps",
             "Times that the process clock was set.",
@@ -68,15 +71,10 @@ class SelfCheck(Part):
 
     async def run(self) -> None:
         """Report on the sources once a second, until cancelled."""
-        watch = ClockWatch(self.core.clock)
         while True:
-            began_s = time.monotonic()
+            began_s = unset_s()
             await asyncio.sleep(HEALTH_EVERY_WALL_S)
-            held_up_s = time.monotonic() - began_s - HEALTH_EVERY_WALL_S
-            step_s = watch.step_s()
-            if step_s:
-                self._clock_steps.inc()
-                _log.warning("clock_set", by_s=round(step_s, 3))
+            held_up_s = unset_s() - began_s - HEALTH_EVERY_WALL_S
             self._report_too_old()
             now_us = self.core.clock.now_us()
             found = self.core.acquisition.health()
@@ -86,7 +84,7 @@ class SelfCheck(Part):
                     driver=health.driver,
                     up=health.up,
                     detail=health.detail,
-                    age_s=(now_us - health.last_good_us) / 1e6 if health.last_good_us else None,
+                    age_s=self._age_s(health, now_us),
                 )
                 for health in found
             ]
@@ -101,13 +99,13 @@ class SelfCheck(Part):
                     )
                 )
             # All that it knows of its sources is from before: they have their turn first.
-            if max(held_up_s, step_s) > _HELD_UP_S:
+            if held_up_s > _HELD_UP_S:
                 sources.append(
                     SourceDocument(
                         name="cell",
                         driver="bus",
                         up=False,
-                        detail=f"stood still for {max(held_up_s, step_s):.0f} s",
+                        detail=f"stood still for {held_up_s:.0f} s",
                         age_s=None,
                     )
                 )
@@ -118,6 +116,26 @@ class SelfCheck(Part):
                 None,
                 ServiceHealth(sources=sources, degraded=degraded, clock_rate=self.core.clock.rate),
             )
+
+    def clock_set(self, by_us: int) -> None:
+        """Count it, and note how old the last good samples are."""
+        self._clock_steps.inc()
+        now_us = self.core.clock.now_us()
+        for health in self.core.acquisition.health():
+            if health.last_good_us and not is_since_set(
+                health.last_good_us, now_us, self.core.clock.rate
+            ):
+                before_us, moved_us = self._moved.get(health.name, (0, 0))
+                moved_us = by_us + (moved_us if before_us == health.last_good_us else 0)
+                self._moved[health.name] = health.last_good_us, moved_us
+
+    def _age_s(self, health: SourceHealth, now_us: int) -> float | None:
+        """Process seconds since a source's last good sample, whenever the clock was set."""
+        if not health.last_good_us:
+            return None
+        before_us, moved_us = self._moved.get(health.name, (0, 0))
+        age_us = now_us - health.last_good_us
+        return (age_us - moved_us if before_us == health.last_good_us else age_us) / 1e6
 
     def _refused_changes(self) -> str | None:
         count = self.core.outbox.refused

@@ -18,6 +18,7 @@ from service.bus.local import LocalCellBus
 from service.bus.messages import CellState
 from service.bus.nats_bus import NatsCellBus
 from service.cell.acquisition import Acquisition
+from service.cell.cell_clock import CellClock
 from service.cell.kernels import Kernels
 from service.cell.known_assets import read_copy
 from service.cell.last_templates import check_at_start
@@ -159,6 +160,7 @@ class _Start:
             spool, clock = await until("room on the disk", self._open_spool)
             self._open.callback(spool.close)
             async with contextlib.AsyncExitStack() as running:
+                await running.enter_async_context(background(clock.run(), "clock", self._stop))
                 bus = self._bus = await self._make_bus(running)
                 if self._settings.is_fleet:  # what is read is known when partitions are owned
                     acquisition = Acquisition(Wiring([], {}), clock, spool)
@@ -212,11 +214,12 @@ class _Start:
             if acquisition.ingest.has_gone_on():
                 self._alive()
 
-    def _open_spool(self) -> tuple[Spool, ProcessClock]:
+    def _open_spool(self) -> tuple[Spool, CellClock]:
         settings = self._settings
         spool = Spool.open(settings.data_dir, settings.service.spool_mib)
         try:
-            return spool, ProcessClock.resume(settings.clock.rate, settings.data_dir)
+            clock = ProcessClock.resume(settings.clock.rate, settings.data_dir)
+            return spool, CellClock(clock, settings.data_dir)
         except OSError as error:
             spool.close()
             raise opening_error(f"data directory {settings.data_dir}: {error}", error) from error
@@ -248,7 +251,7 @@ class _Start:
         self,
         store: Store,
         acquisition: Acquisition,
-        clock: ProcessClock,
+        clock: CellClock,
         bus: LocalCellBus | NatsCellBus,
         answering: "asyncio.Task[None]",
     ) -> None:
@@ -275,6 +278,7 @@ class _Start:
             await _cancel(answering)
             await cell.run(self._stop, lambda: self._status("runs"))
         finally:
+            clock.leave()  # a cell that is being made still moves nothing
             await to_thread.run_sync(outbox.close, OUTBOX_S)
             if share is not None:
                 # No device may have two readers: ours end before another cell may begin.

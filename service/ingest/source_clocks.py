@@ -123,6 +123,11 @@ class SourceClocks:
                 found[one.source]["/".join(key)] = one.by_us / 1e6
         return found
 
+    def clock_set(self, by_us: int) -> None:
+        """Remember for as long as before when each was heard: our clock was set by so much."""
+        for one in self.known.values():
+            one.heard_us += by_us
+
     def forget(self, asset: str) -> None:
         """Know nothing of an asset any more: its channels have changed, or it is not followed."""
         for key in [key for key in self.known if key[0] == asset]:

@@ -97,6 +97,7 @@ class AssetRuntime:
         self.settings = settings
         self.make_number = next(self._numbers)
         self.facts = channels
+        self._clock = clock
         self.readings = _readings(settings, channels, clock, doubt, ahead_s)
         self.estimate = LiveEstimate(active, refused_beyond(operating_ranges(settings.bearing)))
         forecasting = Forecasting(settings, self.estimate, self.readings, clock, executor)
@@ -198,6 +199,17 @@ class AssetRuntime:
         if limits_changed:
             self._forecasts.forecasting.change_limits(settings.limits)
             self._forecasts.want()
+
+    def clock_set(self, by_us: int) -> None:
+        """Follow the machine as before: the clock was set by so much."""
+        self.readings.clock_set(by_us, self._clock.now_us())
+        self.estimate.clock_set(by_us)
+        self._watch.clock_set(by_us)
+        self._judgement.clock_set(by_us)
+        self._forecasts.forecasting.clock_set(by_us)
+        self._publishing.clock_set()
+        self.documents.changed()
+        self._forecasts.want()
 
     def drift_reported(self, text: str) -> None:
         """Write into the journal that the machine has changed."""

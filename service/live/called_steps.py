@@ -36,6 +36,12 @@ class NotSafeCall:
     called_us: int
     probability: float
 
+    def moved(self, by_us: int) -> "NotSafeCall":
+        """Give it by a clock that was set by so much."""
+        times_us = (self.start_us, self.end_us, self.called_us)
+        start_us, end_us, called_us = (time_us + by_us for time_us in times_us)
+        return replace(self, start_us=start_us, end_us=end_us, called_us=called_us)
+
 
 def span_us(step: StepOutlook, made_us: int) -> tuple[int, int]:
     """Begin and end of a step of a forecast in process time, its end by the plan."""

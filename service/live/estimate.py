@@ -271,6 +271,11 @@ class LiveEstimate:
         self.time_us, self.point = now_us, point
         self._note_surroundings(step.dt_s, point, step.measured)
 
+    def clock_set(self, by_us: int) -> None:
+        """Go on without a gap: the clock was set by so much."""
+        if self.time_us is not None:
+            self.time_us += by_us
+
     def stop(self) -> None:
         """Give the estimate up; the next good temperatures start it again."""
         self._known_c = self._spread_k = None

@@ -136,6 +136,8 @@ class Forecasting:
         self._issue: LiveIssue | None = None
         self._ensemble: Ensemble | None = None
         self._looked_us: int | None = None
+        # How often the clock was set: what was begun before has other times.
+        self._times_set = 0
 
     def change_limits(self, limits: Mapping[str, LimitsSection]) -> None:
         """Set other limits; what was forecast of those before is gone."""
@@ -147,6 +149,23 @@ class Forecasting:
         """Give the latest forecast, once, to what follows it; None of an unknown operation."""
         issue, self._issue = self._issue, None
         return issue
+
+    def clock_set(self, by_us: int) -> None:
+        """Let forecast and plan be as old as before: the clock was set by so much."""
+        if self.plan is not None:
+            self.plan = replace(self.plan, time_us=self.plan.time_us + by_us)
+        if self.summary is not None:
+            self.summary = replace(self.summary, made_us=self.summary.made_us + by_us)
+        if self.outlook is not None:
+            self.outlook = replace(self.outlook, made_us=self.outlook.made_us + by_us)
+        if self._latest is not None:
+            self._latest = self._latest._replace(
+                summary=replace(self._latest.summary, made_us=self._latest.summary.made_us + by_us),
+                intervals_us=self._latest.intervals_us + by_us,
+            )
+        if self._looked_us is not None:
+            self._looked_us += by_us
+        self._times_set += 1
 
     def look(self) -> bool:
         """Record that somebody looks; returns whether the latest has intervals of earlier."""
@@ -197,7 +216,7 @@ class Forecasting:
         """Make a new live forecast; False when there is none.
 
         There is none when the plan is over and nothing lies ahead, or when the limits were changed
-        meanwhile.
+        or the clock was set meanwhile.
 
         Parameters
         ----------
@@ -215,11 +234,11 @@ class Forecasting:
         has_plan = self._has_plan(made_us)
         alone = not (missing or has_plan)
         kept = self._ensemble if alone and not self._is_looked_at(made_us) else None
-        loop, limits = asyncio.get_running_loop(), self._limits
+        loop, limits, times_set = asyncio.get_running_loop(), self._limits, self._times_set
         live = await loop.run_in_executor(
             self._executor, _make_live, state, steps, profile, limits, kept, alone, self._phase
         )
-        if limits is not self._limits:
+        if limits is not self._limits or times_set != self._times_set:
             return False
         self._ensemble, self._reused = live.ensemble, live.intervals_us != made_us
         summary = live.summary

@@ -74,6 +74,10 @@ class Judgement:
         self._settings = settings
         self._seen = {}
 
+    def clock_set(self, by_us: int) -> None:
+        """Keep what was called *not safe*: the clock was set by so much."""
+        self._called = tuple(one.moved(by_us) for one in self._called)
+
     def to_rows(self) -> list[list[float]]:
         """Steps that were called *not safe*, for the next start."""
         return called_steps_to_rows(self._called)

@@ -78,6 +78,11 @@ class ModelComparison:
         if turns:
             self.residuals.add(self._estimate.innovations, duration_s, self._comparable)
 
+    def clock_set(self, by_us: int) -> None:
+        """Go on without a gap: the clock was set by so much."""
+        if self._stepped_us is not None:
+            self._stepped_us += by_us
+
     def stop(self) -> None:
         """Let the model alone start again from the estimate."""
         self._reference.stop()

@@ -74,6 +74,11 @@ class Publishing:
             self.verdict_due = True
         self._documents.changed()
 
+    def clock_set(self) -> None:
+        """Send and store again as often as before."""
+        self.verdict_due = True
+        self._stored_us = 0
+
     def stepped(self, now_us: int, estimate: LiveEstimate, is_blind: bool) -> None:
         """Send and store what is due of an estimate that has made a step."""
         quality = Quality.LAST_USABLE if is_blind else Quality.GOOD

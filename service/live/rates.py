@@ -40,6 +40,11 @@ class _Window:
         self._levels.append(level)
         self._count(1, time_us, level)
 
+    def clock_set(self, by_us: int) -> None:
+        """Keep all points: the clock was set by so much."""
+        self._times_us = array("q", (time_us + by_us for time_us in self._times_us))
+        self._origin_us += by_us
+
     def leave(self, before_us: int) -> None:
         """Drop the points before a time."""
         times_us = self._times_us
@@ -94,6 +99,11 @@ class RatesOfRise:
             window.add(now_us, value)
         for window in self._windows.values():
             window.leave(now_us - self._window_us)
+
+    def clock_set(self, by_us: int) -> None:
+        """Keep what is known of the last minutes: the clock was set by so much."""
+        for window in self._windows.values():
+            window.clock_set(by_us)
 
     def rate_k_per_min(self, channel: str) -> float | None:
         """Slope of the straight line through the window; None where too little of it is known."""

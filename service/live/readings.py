@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from statistics import median
 
 from adapters.samples import Quality, Sample, is_bad, is_good, meaning
+from service.clock import is_since_set
 
 # Samples received so much before the latest one were received before the clock was set back.
 _CLOCK_SET_BACK_US = 1_000_000
@@ -54,6 +55,12 @@ class _Pace:
                 if len(self.windows_s) >= _FEWEST_WINDOWS:
                     self.usual_s = median(self.windows_s)
         self._last_us = received_us
+
+    def clock_set(self, by_us: int) -> None:
+        """Go on: the clock was set by so much."""
+        if self._since_us:
+            self._since_us += by_us
+            self._last_us += by_us
 
 
 @dataclass(slots=True)
@@ -139,6 +146,17 @@ class Readings:
             mean.count += 1
         return news
 
+    def clock_set(self, by_us: int, now_us: int) -> None:
+        """Let values be as old as before: the clock was set by so much, and it is ``now_us``."""
+        self.began_us += by_us
+        for channel, sample in self.latest.items():
+            if not is_since_set(sample.received_us, now_us, self.rate):
+                self.latest[channel] = sample._replace(
+                    time_us=sample.time_us + by_us, received_us=sample.received_us + by_us
+                )
+        for pace in self._paces.values():
+            pace.clock_set(by_us)
+
     def take_means(self) -> dict[str, float]:
         """Means of the good samples since the last call, by channel."""
         means = {channel: mean.total / mean.count for channel, mean in self._means.items()}
@@ -164,7 +182,7 @@ class Readings:
     def is_stale(self, channel: str, now_us: int) -> bool:
         """Return whether the channel has had no sample, of whatever quality, for too long."""
         sample = self.latest.get(channel)
-        age_s = (now_us - self.began_us) / 1e6 if sample is None else self._age_s(sample, now_us)
+        age_s = abs(now_us - self.began_us) / 1e6 if sample is None else self._age_s(sample, now_us)
         return age_s > self.age_limit_s(channel)
 
     def stale_from_us(self, channel: str) -> float:

@@ -3,6 +3,7 @@
 import asyncio
 from collections.abc import Awaitable, Callable, Sequence
 
+from service.live.called_steps import called_steps_of, called_steps_to_rows
 from service.live.estimate import LiveEstimate
 from service.live.guard import Guard
 from service.live.kept import KeptState
@@ -91,3 +92,15 @@ def _read_outcome(done: "asyncio.Future[None]") -> None:
     """Read how it went: perhaps no caller is left who would, and Python would log an error."""
     if not done.cancelled():
         done.exception()
+
+
+def move_kept(state: KeptState, by_us: int) -> None:
+    """Move the times of a state, as the clock was set by so much; what is of no use stays."""
+    time_us = state.get("time_us")
+    if isinstance(time_us, int):
+        state["time_us"] = time_us + by_us
+    try:
+        called = called_steps_of(state.get("called_steps") or [])
+    except ValueError:
+        return
+    state["called_steps"] = called_steps_to_rows(one.moved(by_us) for one in called)

@@ -58,6 +58,11 @@ class Sources:
         """Return whether the channel is silent while its source is not; None if that is open."""
         return self._alone.get(channel)
 
+    def clock_set(self, by_us: int) -> None:
+        """Give channels their usual time all the same: the clock was set by so much."""
+        for source in self._back_us:
+            self._back_us[source] += by_us
+
     def look(self, now_us: int) -> None:
         """Judge all sources and channels as they are now."""
         latest = self._readings.latest

@@ -90,7 +90,8 @@ class Twins:
                 steps = Steps()
                 for runtime, given in zip(portion, means, strict=True):
                     if runtime.documents.running:  # it may have ended in a pause
-                        runtime.judge(now_us, given)
+                        # The clock may be set in a pause.
+                        runtime.judge(self._clock.now_us(), given)
                     await steps.pause()
                 await asyncio.sleep(0)
             if self._turn == 0:

@@ -145,6 +145,16 @@ class AlarmWatch:
         self._book.evaluate_all(own)
         return conditions
 
+    def clock_set(self, by_us: int) -> None:
+        """Go on as before: the clock was set by so much."""
+        if self._standing_since_us is not None:
+            self._standing_since_us += by_us
+        self._rates_of_rise.clock_set(by_us)
+        self._comparison.clock_set(by_us)
+        self._sources.clock_set(by_us)
+        if self._alone is not None:
+            self._alone.clock_set(by_us)
+
     def switched(self, before: int, who: str, comment: str) -> None:
         """Write into the journal that the twin runs on another model version.
 

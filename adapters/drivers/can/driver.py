@@ -99,7 +99,7 @@ class CanDriver:
         problems = [reader.problem] if reader.problem else []
         fresh = False
         for message in self._messages.values():
-            age_us = now_us - message.last_frame_us
+            age_us = abs(now_us - message.last_frame_us)  # the clock may have been set back
             if not message.last_frame_us:
                 problems.append(f"{message.message.name}: no frame yet")
             elif age_us > message.age_limit_us(self._clock.rate):

@@ -164,11 +164,13 @@ class OpcUaDriver:
         await asyncio.sleep(0.01)
 
     def _silent(self, refused: dict[str, str]) -> list[str]:
-        limit_us = self._clock.now_us() - round(UNCHANGED_S * self._clock.rate * 1e6)
+        now_us = self._clock.now_us()
+        limit_us = now_us - round(UNCHANGED_S * self._clock.rate * 1e6)
         return [
             node
             for node, points in self._by_node.items()
-            if node not in refused and any(point.heard_us < limit_us for point in points)
+            if node not in refused
+            and any(not limit_us <= point.heard_us <= now_us for point in points)
         ]
 
     def _take(self, found: Sequence[tuple[str, Any]], stands: bool = False) -> list[Sample]:

@@ -19,6 +19,7 @@ from service.bus.pushed_samples import PushedSamples
 from service.bus.replicas import PORTION
 from service.cell.acquisition import Acquisition
 from service.cell.cell import Cell
+from service.cell.cell_clock import CellClock
 from service.cell.kernels import Kernels
 from service.cell.start import be_prompt
 from service.clock import DAY_US, ProcessClock, rfc3339
@@ -93,7 +94,7 @@ async def site(assets: int, alarming: int = ALARMING) -> AsyncIterator[Cell]:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         settings = load_settings(_configuration(folder, assets))
         settings.data_dir.mkdir()
-        clock = ProcessClock()
+        clock = CellClock(ProcessClock(), settings.data_dir)
         store = stack.enter_context(Store.open("", settings.data_dir))
         outbox = stack.enter_context(Outbox.open(settings.data_dir, store))
         spool = Spool.open(settings.data_dir, 64)

@@ -57,6 +57,7 @@ def part(core: Core) -> Part:
         core.alarms,
         lambda: core.silencing,
         core.registry,
+        core.loaded_by_us,
     )
 
 
@@ -82,6 +83,8 @@ class Notifier(Part):
         Gives what says which assets are silenced.
     registry : CollectorRegistry
         Where the state of each notification is measured.
+    loaded_by_us : int or None
+        By how many microseconds the clock was set since the last run; None: not known.
 
     Raises
     ------
@@ -101,7 +104,10 @@ class Notifier(Part):
         book: AlarmBook,
         silencing: Callable[[], Silencing],
         registry: CollectorRegistry,
+        loaded_by_us: int | None = 0,
     ) -> None:
+        self._loaded_by_us = loaded_by_us
+        self._moved: Sequence[Notification] = ()
         self._settings = settings
         self._store = store
         self._outbox = outbox
@@ -113,6 +119,8 @@ class Notifier(Part):
         self._assets: set[str] = set()
         self._all_assets = False
         self._news: deque[Callable[[], None]] = deque()
+        # While what came before the clock was set is taken in: by how much it was.
+        self._behind_us = 0
         self._queues = {
             one.id: NotificationQueue(
                 one,
@@ -157,6 +165,10 @@ class Notifier(Part):
         self._silencing().read()
         kept = load_notifications(self._store, self._outbox)
         notifications = [one for one in kept if assets is None or one.alarm.asset in assets]
+        by_us = self._loaded_by_us if assets is None else 0
+        if by_us:
+            notifications = [rules.moved(one, by_us) for one in notifications]
+            self._moved = notifications
         self._news.append(lambda: self._begin(notifications, assets))
 
     def leave(self, assets: Sequence[str]) -> None:
@@ -165,6 +177,28 @@ class Notifier(Part):
         self._assets.difference_update(assets)
         for queue in self._queues.values():
             queue.forget(assets)
+
+    def keep_moved(self) -> None:
+        """Have written what was moved as it was loaded."""
+        self._keep(self._moved)
+        self._moved = ()
+
+    def clock_set(self, by_us: int) -> None:
+        """Let escalations wait for as long as before: the clock was set by so much.
+
+        What has changed before that is taken in first, with the time that was then.
+        """
+        self._behind_us = by_us
+        while self._news:  # some of it brings more
+            self._drain(len(self._news))
+        self._behind_us = 0
+        elsewhere = self._book.dated_elsewhere()
+        for queue in self._queues.values():
+            known = queue.notifications.values()
+            later = [rules.moved(one, by_us) for one in known if one.alarm.id not in elsewhere]
+            for notification in later:
+                queue.put(notification)
+            self._keep(later)
 
     # ------------------------------------------------------------------ what is asked
     def handlers(self) -> Handlers:
@@ -238,7 +272,7 @@ class Notifier(Part):
 
     def _ended(self, alarm: Alarm) -> Alarm:
         """Make an alarm that is not open any more one that is over."""
-        returned_us = alarm.returned_at_us or self._clock.now_us()
+        returned_us = alarm.returned_at_us or self._now_us()
         state = AlarmState.NORM.value
         return replace(alarm, state=state, present=False, returned_at_us=returned_us)
 
@@ -261,8 +295,11 @@ class Notifier(Part):
                 changed.append(notification)
         return changed
 
+    def _now_us(self) -> int:
+        return self._clock.now_us() - self._behind_us
+
     def _released(self, notification: Notification, section: NotificationSection) -> Notification:
-        now_us = self._clock.now_us()
+        now_us = self._now_us()
         if notification.released_us is not None or notification.over:
             return notification
         if rules.is_held(section, notification.alarm, self._silencing(), now_us):
@@ -271,11 +308,11 @@ class Notifier(Part):
 
     async def _look(self) -> None:
         """See what time brings: the end of quiet hours and silences, and escalation."""
-        now_us = self._clock.now_us()
         for queue in self._queues.values():
             steps = Steps()
             for alarm_id in list(queue.notifications):
-                _try(partial(self._look_at, queue, alarm_id, now_us))
+                # The clock may be set in a pause.
+                _try(partial(self._look_at, queue, alarm_id, self._clock.now_us()))
                 await steps.pause()
             queue.look()
 

@@ -10,7 +10,7 @@ from typing import Final
 
 from msgspec.structs import replace
 
-from service.alarms.records import assets_of
+from service.alarms import records
 from service.alarms.silencing import Silencing
 from service.alarms.states import ACTIVE_STATES, SET_ASIDE_STATES, AlarmState
 from service.clock import MICROSECONDS
@@ -42,7 +42,7 @@ def is_selected(
         and any(
             (not section.assets or asset in section.assets)
             and (not section.families or family_of(asset) in section.families)
-            for asset in assets_of(alarm)
+            for asset in records.assets_of(alarm)
         )
     )
 
@@ -167,6 +167,17 @@ def given_up(notification: Notification, now_us: int) -> Notification:
     return notification
 
 
+def moved(notification: Notification, by_us: int) -> Notification:
+    """Give a notification its times by a clock that was set by so much."""
+    released_us = notification.released_us
+    return replace(
+        notification,
+        alarm=records.moved(notification.alarm, by_us),
+        since_us=notification.since_us + by_us,
+        released_us=None if released_us is None else released_us + by_us,
+    )
+
+
 def escalated(
     source: Notification, target: Notification | None, to: str, now_us: int
 ) -> Notification:
@@ -201,7 +212,7 @@ def is_held(section: NotificationSection, alarm: Alarm, silencing: Silencing, no
 
 def is_silenced(alarm: Alarm, silencing: Silencing, now_us: int) -> bool:
     """Whether silences are about all assets of an alarm at a process time."""
-    return all(silencing.covers(asset, now_us) for asset in assets_of(alarm))
+    return all(silencing.covers(asset, now_us) for asset in records.assets_of(alarm))
 
 
 def is_quiet(quiet: QuietHours | None, priority: int, now_us: int) -> bool:

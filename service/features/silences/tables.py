@@ -1,17 +1,19 @@
 """Planned times without notifications of alarms: from when until when, who and why."""
 
-from collections.abc import Collection
-from dataclasses import dataclass
-from typing import Final
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass, replace
+from typing import ClassVar, Final
 
 import msgspec
 import structlog
-from sqlalchemy import delete, func, insert, select
+from sqlalchemy import delete, func, insert, select, update
 from sqlalchemy.orm import Mapped, mapped_column
 
 from service.domain.errors import BearingTwinError
+from service.store import FeatureChange, RefuseChange
 from service.store.audit import add_line
-from service.store.part import StorePart
+from service.store.deliveries import Delivery
+from service.store.part import Parts, StorePart
 from service.store.records import AuditEntry, JsonDocument
 from service.store.tables import Base
 
@@ -55,6 +57,16 @@ class Silence:
     ends: str = ""
     time_zone: str = "UTC"
 
+    def moved(self, before_us: int, by_us: int) -> "Silence":
+        """Give it as it lasts as long as before, where the clock was set by so much.
+
+        One that had not begun, at the time that it was before, and one on a schedule go by the
+        calendar.
+        """
+        if self.begins or self.days or not self.begins_us <= before_us < self.ends_us:
+            return self
+        return replace(self, begins_us=self.begins_us + by_us, ends_us=self.ends_us + by_us)
+
     def covers(self, asset: str) -> bool:
         """Whether it is about an asset."""
         return not self.assets or asset in self.assets
@@ -69,11 +81,7 @@ class Silences(StorePart):
         Those that are over at this process time leave: the audit trail has them. Raises
         `TooManySilencesError` if there are `MOST_SILENCES` already.
         """
-        values = {
-            "id": silence.id,
-            "ends_us": silence.ends_us,
-            "document": msgspec.to_builtins(silence),
-        }
+        values = {"id": silence.id, **_columns(silence)}
         with self._database.writing() as connection:
             connection.execute(delete(SilenceRow).where(SilenceRow.ends_us <= now_us))
             standing = connection.scalar(select(func.count()).select_from(SilenceRow)) or 0
@@ -95,6 +103,15 @@ class Silences(StorePart):
                 add_line(connection, line)
         return ended
 
+    def change(self, silences: Iterable[Silence], delivery: Delivery | None = None) -> None:
+        """Write other times of some; those that were ended meanwhile stay so."""
+        with self._writing_once(delivery) as connection:
+            if connection is None:
+                return
+            for silence in silences:
+                same = SilenceRow.id == silence.id
+                connection.execute(update(SilenceRow).where(same).values(_columns(silence)))
+
     def load(self, now_us: int) -> list[Silence]:
         """Those that are not over at a process time, the first to end first."""
         query = (
@@ -111,3 +128,31 @@ class Silences(StorePart):
             except msgspec.ValidationError as error:  # of another version
                 _log.error("silence_refused", reason=str(error))
         return found
+
+
+def _columns(silence: Silence) -> dict[str, object]:
+    return {"ends_us": silence.ends_us, "document": msgspec.to_builtins(silence)}
+
+
+class MovedSilences(FeatureChange, frozen=True):
+    """Silences with other times, as the clock was set while they were in force."""
+
+    kind: ClassVar[str] = "moved silences"
+
+    silences: tuple[Silence, ...]
+
+    @property
+    def summary(self) -> str:
+        """What the list of changes that the store did not take calls it."""
+        return "times of silences"
+
+    def assets(self) -> set[str]:
+        """Name no asset: no cell owns a silence."""
+        return set()
+
+    def save(self, parts: Parts, delivery: Delivery | None, refuse: RefuseChange) -> None:
+        """Write them."""
+        parts.part(Silences).change(self.silences, delivery)
+
+
+CHANGES = (MovedSilences,)

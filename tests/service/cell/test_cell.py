@@ -9,6 +9,7 @@ from anyio import to_thread
 from service.bus.memory import MemoryBus
 from service.cell.acquisition import Acquisition
 from service.cell.cell import Cell
+from service.cell.cell_clock import CellClock
 from service.cell.kernels import Kernels
 from service.clock import ProcessClock
 from service.ingest import Spool
@@ -21,7 +22,7 @@ async def test_parts_stop_before_those_that_they_need(tmp_path: Path) -> None:
     (tmp_path / "twin.toml").write_text('[service]\ndata_dir = "data"\n')
     settings = load_settings(tmp_path / "twin.toml")
     settings.data_dir.mkdir()
-    clock = ProcessClock()
+    clock = CellClock(ProcessClock(), settings.data_dir)
     with (
         Store.open("", settings.data_dir) as store,
         Outbox.open(settings.data_dir, store) as outbox,

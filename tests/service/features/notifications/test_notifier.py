@@ -40,22 +40,29 @@ PATIENCE_S = 60.0
 class Notified:
     """An alarm book whose alarms are sent, on the store of a bench, unless they are silenced."""
 
-    def __init__(self, bench: Bench, settings: Settings) -> None:
-        self.bench, self.settings = bench, settings
+    def __init__(self, bench: Bench, settings: Settings, *, loaded_by_us: int | None = 0) -> None:
+        self.bench, self.settings, self.loaded_by_us = bench, settings, loaded_by_us
 
     async def __aenter__(self) -> "Notified":
         bench = self.bench
         self.book = AlarmBook(
-            bench.outbox, bench.clock, lambda alarm: self.notifier.alarm_changed(alarm)
+            bench.outbox, bench.clock, lambda alarm: self.notifier.alarm_changed(alarm),
+            loaded_by_us=self.loaded_by_us,
+        )  # fmt: skip
+        silences = KnownSilences(
+            bench.store, bench.clock, bench.outbox, loaded_by_us=self.loaded_by_us
         )
-        silences = KnownSilences(bench.store, bench.clock)
         self.notifier = Notifier(
             self.settings, bench.store, bench.outbox, bench.clock,
             lambda asset: (f"Bench {asset}", "Motor 2019"), self.book, lambda: silences,
-            CollectorRegistry(),
+            CollectorRegistry(), self.loaded_by_us,
         )  # fmt: skip
         self.parts, self.failed = (silences, self.notifier), asyncio.Event()
+        await asyncio.to_thread(silences.read_store)
         await asyncio.to_thread(self.notifier.take_over)
+        self.book.keep_moved()
+        for part in self.parts:
+            part.keep_moved()
         for part in self.parts:
             await part.start(self.failed)
         return self
