@@ -134,9 +134,14 @@ def _check_whole(name: str, layout: Layout, rows: Iterator[TableRow]) -> None:
     """Read a file to its end before anything of it is stored: it may be damaged further on.
 
     Raises `TableFileError` then, and `TransferError` where its numbers have a decimal comma and no
-    mapping says so: their columns would be missing beside those of whole numbers.
+    mapping says so: their columns would be missing beside those of whole numbers, and of counted
+    times those with a fraction.
     """
     columns = [source.column for source in layout.channels.values()] or ["value"]
+    if layout.unit is not None:
+        columns.append(layout.time)
+    # One sample in a row: no mapping describes such a file.
+    wanted = 'a mapping with decimal = ","' if layout.channels else "a decimal point"
     for _, line, row in rows:
         if layout.decimal == "," or isinstance(row, RowError):
             continue
@@ -144,8 +149,8 @@ def _check_whole(name: str, layout: Layout, rows: Iterator[TableRow]) -> None:
             cell = row[column]
             if isinstance(cell, str) and has_decimal_comma(cell):
                 raise TransferError(
-                    f"{name}: line {line}: {column} = {shown(cell)}: a decimal comma; expected a "
-                    'mapping with decimal = ","'
+                    f"{name}: line {line}: {column} = {shown(cell)}: a decimal comma; "
+                    f"expected {wanted}"
                 )
 
 

@@ -118,6 +118,31 @@ def test_of_a_file_with_decimal_commas_no_part_is_stored_unasked(tmp_path: Path,
     assert ring(tmp_path) == {40.0, 41.0, 41.5}
 
 
+def test_counted_times_with_a_decimal_comma_are_known_too(tmp_path: Path, run: Run) -> None:
+    """Else every second row would be stored: those of whole seconds."""
+    path = tmp_path / "run.csv"
+    rows = [f"{k // 2}{',5' if k % 2 else ''};1500;2650;21;40;38" for k in range(6)]
+    path.write_text("\n".join([GERMAN, *rows]) + "\n")
+    start = ("--start", "2026-03-01T12:00:00Z")
+    counted = mapping(tmp_path, 'delimiter = ";"').with_name("counted.toml")
+    points = mapping(tmp_path, 'delimiter = ";"').read_text()
+    counted.write_text(points.replace("[time]\n", '[time]\nunit = "s"\n'))
+    text = run("import", path, "--mapping", counted, *start)[2]
+    assert "= '0,5': a decimal comma; expected a mapping with decimal" in text
+    assert stored(tmp_path) == []
+    counted.write_text('decimal = ","\n' + counted.read_text())
+    assert run("import", path, "--mapping", counted, *start)[0] == 0
+    assert len(stored(tmp_path)) == 6 * 5
+
+
+def test_of_one_sample_in_a_row_no_mapping_is_asked_for(tmp_path: Path, run: Run) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text('time,channel,value\n2026-03-01T12:00:00Z,t_inner_ring_c,"41,5"\n')
+    text = run("import", path)[2]
+    assert "value = '41,5': a decimal comma; expected a decimal point" in text
+    assert stored(tmp_path) == []
+
+
 @pytest.mark.parametrize("number", ["1.041,5", "1.041", "41,5,0"])
 def test_separators_of_thousands_are_no_part_of_a_number(
     tmp_path: Path, run: Run, number: str
