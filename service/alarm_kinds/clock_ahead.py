@@ -11,7 +11,7 @@ from pydantic import Field
 from service.domain.alarm_condition import AlarmCondition
 from service.domain.alarm_guidance import AlarmSubject, Guidance, PossibleAlarm
 from service.domain.alarm_kind import CLOCK_AHEAD, DAY_S, AlarmContext, AlarmKind, PlainRule
-from service.domain.causes import STALE_DATA, source_channel
+from service.domain.causes import STALE_DATA, source_channel, source_of
 
 
 class ClockAheadRule(PlainRule):
@@ -45,7 +45,7 @@ def _conditions(context: AlarmContext, rule: ClockAheadRule) -> Iterator[AlarmCo
 
 def _suppressed(context: AlarmContext, channel: str, level: str) -> str | None:
     if context.is_present(STALE_DATA, channel, ""):
-        return f"source {channel.removeprefix(source_channel(''))} lost"
+        return f"source {source_of(channel)} lost"
     return None
 
 

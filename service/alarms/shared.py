@@ -9,7 +9,7 @@ from service.alarms.records import AlarmKey, assets_of
 from service.alarms.timers import Timer
 from service.domain.alarm_condition import AlarmCondition
 from service.domain.alarm_kind import CLOCK_AHEAD
-from service.domain.causes import STALE_DATA
+from service.domain.causes import STALE_DATA, source_of
 from service.store import Alarm
 
 #: What is said of a source for several assets, each of which has figures of its own.
@@ -168,6 +168,5 @@ class SharedCauses:
 def _message(key: AlarmKey, assets: Collection[str], first: AlarmCondition) -> str:
     if len(assets) == 1:
         return first.message
-    source = key[2].removeprefix("source:")
-    what = f"{source}: {_OF_MANY[key[1]]}" if key[1] in _OF_MANY else first.message
+    what = f"{source_of(key[2])}: {_OF_MANY[key[1]]}" if key[1] in _OF_MANY else first.message
     return f"{what}, {len(assets)} assets"

@@ -21,6 +21,7 @@ from service.bus.pushed_samples import PushedSamples
 from service.bus.replica import digest
 from service.bus.stream import LiveMessages
 from service.documents.assets import GreaseRenewed
+from service.domain.causes import source_of
 from service.domain.errors import NotKeptError, PushRefusedError
 from service.ingest import Ingest
 from service.live.asset import AssetRuntime
@@ -268,7 +269,7 @@ class AlarmAnswers:
 
     def _is_of_source(self, alarm_id: str) -> bool:
         try:
-            return self.book.alarm(alarm_id).channel.startswith("source:")
+            return bool(source_of(self.book.alarm(alarm_id).channel))
         except UnknownAlarmError:
             return False
 

@@ -34,6 +34,11 @@ def source_channel(source: str) -> str:
     return f"{_SOURCE}{source}"
 
 
+def source_of(channel: str) -> str:
+    """Give the source that a channel of an alarm stands for; empty where it is an ordinary one."""
+    return channel.removeprefix(_SOURCE) if channel.startswith(_SOURCE) else ""
+
+
 def has_own_alarm(source: str, channels: Sized) -> bool:
     """Whether a source that an asset has is an alarm when it is lost, or its only channel is.
 
@@ -44,8 +49,8 @@ def has_own_alarm(source: str, channels: Sized) -> bool:
 
 def cause_of(asset: str, kind: str, channel: str, *, predicted: bool = False) -> Cause:
     """Say what an alarm comes of."""
-    if channel.startswith(_SOURCE):
-        return Cause("source", channel.removeprefix(_SOURCE))
+    if source := source_of(channel):
+        return Cause("source", source)
     if kind == HISTORY_NOT_KEPT:
         return Cause("service", "clock")
     return Cause("step" if predicted else "machine", asset)
@@ -53,4 +58,4 @@ def cause_of(asset: str, kind: str, channel: str, *, predicted: bool = False) ->
 
 def is_shared(kind: str, channel: str) -> bool:
     """Whether an alarm is one for all assets that have it."""
-    return channel.startswith(_SOURCE) or kind == HISTORY_NOT_KEPT
+    return bool(source_of(channel)) or kind == HISTORY_NOT_KEPT

@@ -17,7 +17,7 @@ from operator import itemgetter
 import structlog
 
 from adapters.samples import Quality, Sample, is_good
-from adapters.times import SOURCE_AHEAD_S
+from adapters.times import source_limit_us
 
 Key = tuple[str, str]
 """Asset and channel."""
@@ -94,7 +94,7 @@ class SourceClocks:
 
     def __init__(self, rate: float, count: Callable[[], object] = lambda: None) -> None:
         wall_us = max(rate, 1.0) * 1e6
-        self.limit_us = round(SOURCE_AHEAD_S * wall_us)
+        self.limit_us = source_limit_us(0, rate)
         self._right_us = round(RIGHT_S * wall_us)
         self._doubted_us = round(DOUBTED_S * wall_us)
         self._old_us = round(OLD_S * wall_us)

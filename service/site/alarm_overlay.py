@@ -18,6 +18,7 @@ from service.domain.alarm_guidance import (
     PossibleAlarm,
 )
 from service.domain.alarm_kind import AlarmKind, LevelRule, PlainRule
+from service.domain.causes import source_of
 from service.domain.channels import label
 from service.site.asset_section import AssetSection, LimitsSection
 from service.site.wiring import ChannelFacts
@@ -86,8 +87,8 @@ class AlarmEntry:
     def description(self) -> str:
         """Name the alarm for people."""
         kind, channel, level = self.name
-        source = channel.removeprefix("source:")
-        what = label(channel) if source == channel else f"Source {source}"
+        source = source_of(channel)
+        what = f"Source {source}" if source else label(channel)
         return f"{what}: {kind}{f' ({level})' if level else ''}"
 
     @property
