@@ -174,7 +174,7 @@ class Cell:
             core.alarms.keep_moved()
             for part in core.parts:
                 part.keep_moved()
-        core.clock.move_with(self._clock_set)
+        core.clock.move_with(self._clock_set, lambda: not core.outbox.unkept)
 
     def _clock_set(self, by_us: int) -> None:
         """Let all spans go on as they were: the clock was set while they are counted."""

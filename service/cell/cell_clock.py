@@ -76,6 +76,7 @@ class CellClock(ProcessClock):
         self._set_us = round(_CLOCK_SET_S * max(self.rate, 1.0) * MICROSECONDS)
         self._lock = threading.Lock()
         self._move: Move | None = None
+        self._is_kept: Callable[[], bool] = lambda: True
         # What is added to the time that has passed, and what was when all that is kept was dated.
         self._offset_us = self._system_offset_us()
         self._marked_us = self._marked_offset_us()
@@ -124,11 +125,16 @@ class CellClock(ProcessClock):
             return None
         return by_us if abs(by_us) > self._set_us else 0
 
-    def move_with(self, move: Move) -> None:
+    def move_with(self, move: Move, is_kept: Callable[[], bool] = lambda: True) -> None:
         """Have all times moved from which spans are counted, whenever the clock is set.
 
-        ``move``: called in the event loop; now, in this thread, if the clock was set after
-        `since_last_run_us`.
+        Parameters
+        ----------
+        move : callable
+            Called in the event loop; now, in this thread, if the clock was set after
+            `since_last_run_us`.
+        is_kept : callable
+            Whether all that was moved outlives this process; until then no mark says so.
         """
         with self._lock:
             if self._has_left:  # what was loaded is not kept any more
@@ -136,7 +142,7 @@ class CellClock(ProcessClock):
             self._dated_us += self._loaded_us
             self._have_moved(move)
             self._dated_us = self._offset_us
-            self._move = move
+            self._move, self._is_kept = move, is_kept
 
     def leave(self) -> None:
         """Go on as it is: what is set from now on the next run finds. Callable from any thread."""
@@ -158,7 +164,7 @@ class CellClock(ProcessClock):
             move(by_us)
 
     def _is_mark_due(self) -> bool:
-        if self._move is None or not self._boot_id:
+        if self._move is None or not self._boot_id or not self._is_kept():
             return False
         return self._marked_us is None or abs(self._dated_us - self._marked_us) > self._set_us / 2
 

@@ -29,7 +29,7 @@ from service.live.kept import KeptState, KeptWatch
 from service.live.publishing import Publishing, Store
 from service.live.readings import Readings, allowed_age_s
 from service.live.reference import Reference
-from service.live.saving import SaveState, Saving
+from service.live.saving import SaveState, Saving, move_kept
 from service.live.watch import AlarmWatch
 from service.site.asset_section import AssetSection
 from service.site.machines.operating_ranges import operating_ranges, refused_beyond
@@ -124,6 +124,8 @@ class AssetRuntime:
         )
         parts = self.estimate, self._watch, self._judgement, self._forecasts
         self.saving = Saving(settings.id, save_state, self.estimate, partial(_kept, *parts))
+        # The state to go on from, until there is what estimates are computed with.
+        self._waits: KeptState | None = None
         self._blind: list[str] = []
         self._had_started = False
 
@@ -202,6 +204,8 @@ class AssetRuntime:
 
     def clock_set(self, by_us: int) -> None:
         """Follow the machine as before: the clock was set by so much."""
+        if self._waits is not None:
+            move_kept(self._waits, by_us)
         self.readings.clock_set(by_us, self._clock.now_us())
         self.estimate.clock_set(by_us)
         self._watch.clock_set(by_us)
@@ -239,10 +243,12 @@ class AssetRuntime:
                 taken="the coldest reading so far",
                 expected=f"a channel {AMBIENT}",
             )
+        self._waits = kept_state
         try:
             if ready is not None and not ready.is_set():
                 self.documents.running = True
                 await ready.wait()
+            self._waits = None
             if kept_state is not None:
                 self._restore(kept_state)
             self.documents.running = True

@@ -202,3 +202,17 @@ def test_what_is_set_while_a_cell_is_made_moves_what_it_has_made(machine: Machin
     clock.follow()
     clock.move_with(moves.append)
     assert moves == [HOUR_US]
+
+
+def test_the_mark_waits_for_what_was_moved(machine: Machine) -> None:
+    """Else times that a power cut keeps from the disk would never be moved."""
+    Cell(machine.begin()).load()
+    clock, kept = machine.begin(), list[bool]()
+    clock.move_with(lambda by_us: None, lambda: bool(kept))
+    machine.set_us += HOUR_US
+    clock.follow()
+    clock.keep_mark()
+    assert machine.begin().since_last_run_us() == HOUR_US
+    kept.append(True)
+    clock.keep_mark()
+    assert machine.begin().since_last_run_us() == 0

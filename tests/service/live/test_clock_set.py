@@ -1,5 +1,7 @@
 """The clock is set while a machine is followed: nothing of it is older, younger or forgotten."""
 
+import asyncio
+import json
 from collections.abc import Callable
 from typing import Any
 
@@ -118,6 +120,26 @@ async def test_verdict_plan_and_forecast_hold(make_live: Callable[..., Live], st
     stored = len(live.stored)
     live.start()
     await live.until(lambda: len(live.stored) > stored, "estimates for the store", WARM)
+
+
+@every_step
+async def test_a_kept_estimate_that_waits_for_the_kernels_is_as_old_as_before(
+    make_live: Callable[..., Live], step_s: int
+) -> None:
+    first = make_live()
+    await running(first, WARM)
+    await first.stop()
+    live = make_live()
+    live.ready = asyncio.Event()
+    live.start(json.loads(json.dumps(first.saved[-1])))
+    await asyncio.sleep(0)
+    live.clock._start_us += step_s * SECOND_US
+    live.runtime.clock_set(step_s * SECOND_US)
+    live.ready.set()
+    await live.until(lambda: live.runtime.estimate.started, "the kept estimate")
+    time_us = live.runtime.estimate.time_us
+    assert time_us is not None
+    assert 0 <= live.clock.now_us() - time_us < 1800 * SECOND_US
 
 
 def plan(live: Live) -> list[float]:
