@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from pydantic import Field
 
-from service.domain.alarm_condition import AlarmCondition
+from service.domain.alarm_condition import AlarmCondition, Seen
 from service.domain.alarm_guidance import AlarmSubject, Guidance, PossibleAlarm
 from service.domain.alarm_kind import AlarmContext, AlarmKind, LevelRule, Levels, pairs_of
 from service.domain.channels import AMBIENT
@@ -25,12 +25,31 @@ def _conditions(context: AlarmContext, rule: AboveAmbientRule) -> Iterator[Alarm
             context,
             rule,
             channel,
-            None if value is None or ambient_c is None else round(value - ambient_c, 3),
+            _above(value, ambient_c),
             limits,
             "over {level} {limit:g} K above ambient",
             deadband=rule.deadband_k,
             unit="K",
+            between=_between(context, channel),
         )
+
+
+def _between(context: AlarmContext, channel: str) -> list[Seen]:
+    """What the difference was at each sample of a temperature since the last look."""
+    ambient = list(context.between.get(AMBIENT, ()))
+    if ambient and context.good_value(AMBIENT) is None:
+        ambient[-1] = ambient[-1][0], None
+    differences: list[Seen] = []
+    ambient_c: float | None = None
+    for at_us, value_c in context.between.get(channel, ()):
+        while ambient and ambient[0][0] <= at_us:
+            ambient_c = ambient.pop(0)[1]
+        differences.append((at_us, _above(value_c, ambient_c)))
+    return differences
+
+
+def _above(value_c: float | None, ambient_c: float | None) -> float | None:
+    return None if value_c is None or ambient_c is None else round(value_c - ambient_c, 3)
 
 
 def _suppressed(context: AlarmContext, channel: str, level: str) -> str | None:

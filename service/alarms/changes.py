@@ -44,8 +44,18 @@ class AlarmChanges:
         gone = replace(alarm, present=False, returned_at_us=now_us)
         self._go(gone, AlarmState.NORM, "withdraw", now_us, SERVICE, why)
 
-    def turn(self, watched: Watched, condition: AlarmCondition, holds: bool, now_us: int) -> Alarm:
-        """Take in that the condition has come or gone, delays included."""
+    def turn(
+        self,
+        watched: Watched,
+        condition: AlarmCondition,
+        holds: bool,
+        now_us: int,
+        highest: tuple[float, int] | None,
+    ) -> Alarm:
+        """Take in that the condition has come or gone, delays included.
+
+        ``highest``: the highest value in the delay, and when it was.
+        """
         alarm = watched.alarm
         if holds:
             alarm = replace(
@@ -54,7 +64,8 @@ class AlarmChanges:
                 raised_at_us=alarm.raised_at_us or now_us,
                 returned_at_us=None,
             )
-            alarm = with_peak(alarm, now_us)
+            if highest is not None:
+                alarm = with_peak(alarm, *highest)
             event = AlarmEvent.SUPPRESS if condition.suppressed_reason else AlarmEvent.RAISE
         else:
             # What is over names all that had it in its life.
@@ -84,14 +95,14 @@ class AlarmChanges:
                 return self.replace(replace(alarm, suppressed_reason=reason))
         return alarm
 
-    def renew(self, watched: Watched, condition: AlarmCondition, now_us: int) -> Alarm:
-        """Keep the figures fresh; only a new text or priority of an open alarm is news."""
+    def renew(self, watched: Watched, condition: AlarmCondition, at_us: int) -> Alarm:
+        """Keep figures and peak; only a new text or priority of an open alarm is news."""
         alarm = watched.alarm
         if not alarm.present:
             if alarm.state == AlarmState.NORM:
                 watched.figures = condition
             return alarm  # what was wrong when it returned stays to be read
-        renewed = with_peak(updated(alarm, condition), now_us)
+        renewed = with_peak(updated(alarm, condition), condition.value, at_us)
         if news_of(renewed) == news_of(alarm):
             self._register.keep(renewed)
             return renewed

@@ -154,12 +154,12 @@ def duration_s(alarm: Alarm) -> float | None:
     return seconds if seconds >= 0 else None
 
 
-def with_peak(alarm: Alarm, now_us: int) -> Alarm:
-    """Note the value of an alarm whose condition is there, if it is its highest so far."""
-    value, peak = alarm.value, alarm.peak_value
+def with_peak(alarm: Alarm, value: float | None, at_us: int) -> Alarm:
+    """Note a value of an alarm whose condition is there, if it is its highest so far."""
+    peak = alarm.peak_value
     if not alarm.present or value is None or (peak is not None and value <= peak):
         return alarm
-    return replace(alarm, peak_value=value, peak_at_us=now_us)
+    return replace(alarm, peak_value=value, peak_at_us=at_us)
 
 
 def moved(alarm: Alarm, by_us: int) -> Alarm:

@@ -14,7 +14,7 @@ from service.alarms.records import (
     updated,
     urgency,
 )
-from service.alarms.states import AlarmState
+from service.alarms.states import SET_ASIDE_STATES, AlarmState
 from service.alarms.timers import Timer
 from service.domain.alarm_condition import AlarmCondition
 from service.domain.errors import BearingTwinError
@@ -36,6 +36,7 @@ class Watched:
       hundreds of machines all that is normal is renewed every few seconds.
     - ``timer``: runs while the condition is known to differ from its alarm.
     - ``had``: of a shared cause: the assets that have had it in this life of the alarm.
+    - ``judged_from_us``: samples of before it count no more: the alarm was set aside then.
     """
 
     alarm: Alarm
@@ -43,6 +44,7 @@ class Watched:
     figures: AlarmCondition | None = None
     timer: Timer | None = None
     had: frozenset[str] = frozenset()
+    judged_from_us: int = 0
 
     def join(self, condition: AlarmCondition) -> frozenset[str]:
         """Note who has the condition now; gives those that are new in this life of the alarm."""
@@ -215,6 +217,7 @@ class Register:
         elsewhere = self.dated_elsewhere()
         for of_asset in self._watched.values():
             for watched in of_asset.values():
+                watched.judged_from_us += by_us
                 if watched.timer is not None:
                     watched.timer.clock_set(by_us)
         open_alarms = [
@@ -228,6 +231,12 @@ class Register:
         self._looked_us, self._none_before_us = math.inf, -math.inf
         return open_alarms
 
+    def pause_timers(self, asset: str) -> None:
+        """Let the delays of an asset's conditions stand still until they are known again."""
+        for watched in self._watched.get(asset, {}).values():
+            if watched.timer is not None:
+                watched.timer.pause()
+
     def keep(self, alarm: Alarm) -> None:
         """Take in an alarm that stays in its state."""
         key = key_of(alarm)
@@ -238,7 +247,10 @@ class Register:
         """Take in an alarm that has changed its state; when it is over, its next life begins."""
         key = key_of(alarm)
         watched = self._watched[key[0]][key]
-        if watched.alarm.present != alarm.present:
+        is_back = watched.alarm.state in SET_ASIDE_STATES and alarm.state not in SET_ASIDE_STATES
+        if is_back:
+            watched.judged_from_us = now_us
+        if is_back or watched.alarm.present != alarm.present:
             watched.timer = None
         watched.alarm, watched.figures = alarm, None
         if alarm.state != _NORMAL:

@@ -1,6 +1,8 @@
 """The present state of one alarm condition, as alarm kinds report it."""
 
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import groupby
 from typing import Literal
 
 from service.domain.causes import is_shared
@@ -20,6 +22,11 @@ EventKind = Literal[
 ]
 """What is worth a line in the journal, but needs no response of an operator."""
 Priority = Literal[1, 2, 3]
+Seen = tuple[int, float | None]
+"""When a value was, and the value; None where none was good."""
+
+
+_GONE, _IN_DEADBAND, _OVER = range(3)
 
 
 # Not frozen: a frozen one takes five times as long to make, and dozens of each asset are made every
@@ -52,6 +59,8 @@ class AlarmCondition:
       one.
     - ``assets``: of a condition that many assets share: those that have it, or could have it while
       it does not hold. ``asset`` is then the one under which its alarm is kept.
+    - ``between``: what the value was since the last look at the condition, the latest sample
+      included; it holds at or over ``limit_value``. Empty where the present alone is known.
     """
 
     asset: str
@@ -75,6 +84,7 @@ class AlarmCondition:
     suppressed_reason: str | None = None
     covers: tuple[str, ...] = ()
     assets: tuple[str, ...] = ()
+    between: Sequence[Seen] = ()
     _key: tuple[str, str, str, str] | None = field(
         default=None, init=False, repr=False, compare=False
     )
@@ -96,6 +106,35 @@ class AlarmCondition:
             and self.limit_value is not None
             and self.limit_value - self.deadband < self.value <= self.limit_value
         )
+
+    @property
+    def was_active(self) -> bool:
+        """Whether it held at any time since the last look."""
+        limit = self.limit_value
+        return limit is not None and any(
+            value is not None and value >= limit for _, value in self.between
+        )
+
+    def since_last_look(self, from_us: int) -> Iterator[tuple[int, "AlarmCondition"]]:
+        """Give the condition as it was at the times that matter, after a time.
+
+        They are the ends of each stay over the limit, in the deadband, below it or unknown, and the
+        highest value of it.
+        """
+        for zone, run in groupby(self.between, key=self._zone):
+            seen = [one for one in run if one[0] > from_us]
+            highest = max(seen, key=lambda one: one[1] or 0.0, default=None)
+            for one in seen:
+                if one in (seen[0], highest, seen[-1]):
+                    at_us, value = one
+                    holds = None if zone is None else zone == _OVER
+                    yield at_us, replace(self, value=value, active=holds, between=())
+
+    def _zone(self, seen: Seen) -> int | None:
+        value, limit = seen[1], self.limit_value
+        if value is None or limit is None:
+            return None
+        return _OVER if value >= limit else _IN_DEADBAND if value > limit - self.deadband else _GONE
 
     @property
     def holds(self) -> bool | None:

@@ -3,7 +3,7 @@
 How to add one is described in ``CONTRIBUTING.md``: one file in ``service/alarm_kinds``.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Generic, Literal, Protocol, Self, TypeVar, cast
@@ -11,7 +11,7 @@ from typing import Generic, Literal, Protocol, Self, TypeVar, cast
 from pydantic import Field, model_validator
 
 from adapters.samples import Sample
-from service.domain.alarm_condition import AlarmCondition, Priority
+from service.domain.alarm_condition import AlarmCondition, Priority, Seen
 from service.domain.alarm_guidance import (
     AlarmName,
     AlarmOverride,
@@ -177,6 +177,7 @@ class AlarmContext:
     - ``record``: how earlier forecasts have done, for the text of a predicted alarm.
     - ``identified``: whether the model was identified; else its forecasts raise no alarm.
     - ``overrides``: what single alarms have otherwise than their kind says.
+    - ``between``: what temperatures were since the last look, by channel.
     """
 
     asset: str
@@ -198,6 +199,7 @@ class AlarmContext:
     record: ForecastRecord = no_record
     identified: bool = True
     overrides: Mapping[AlarmName, AlarmOverride] = field(default_factory=dict)
+    between: Mapping[str, Sequence[Seen]] = field(default_factory=dict)
     _values: dict[str, float | None] = field(default_factory=dict, init=False)
     _no_data: dict[str, str | None] = field(default_factory=dict, init=False)
     _unknown: tuple[str | None] | None = field(default=None, init=False)
@@ -398,17 +400,19 @@ class AlarmKind(Generic[Rule]):
         *,
         deadband: float,
         unit: str,
+        between: Sequence[Seen] = (),
     ) -> Iterator[AlarmCondition]:
         """Report for both levels whether a value, None if it is not known, is at or over its limit.
 
-        The message is the channel's name and the text with `level` and `limit` put in.
+        The message is the channel's name and the text with `level` and `limit` put in;
+        ``between``: what the value was since the last look.
         """
         for level, usual in zip(LEVELS, (limits.warning, limits.alarm), strict=True):
             limit = usual
             if context.overrides:
                 changed = context.overrides.get((self.name, channel, level), _UNCHANGED)
                 limit = _or(changed.setpoint, usual)
-            yield self.condition(
+            condition = self.condition(
                 context,
                 rule,
                 channel,
@@ -420,3 +424,5 @@ class AlarmKind(Generic[Rule]):
                 deadband=deadband,
                 unit=unit,
             )
+            condition.between = between
+            yield condition

@@ -2,12 +2,14 @@
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from statistics import median
 
 from adapters.samples import Quality, Sample, is_bad, is_good, meaning
 from service.clock import is_since_set
+from service.domain.alarm_condition import Seen
+from service.domain.channels import AMBIENT
 
 # Samples received so much before the latest one were received before the clock was set back.
 _CLOCK_SET_BACK_US = 1_000_000
@@ -20,6 +22,8 @@ _WINDOWS, _FEWEST_WINDOWS, _WINDOW_US = 31, 5, 1_000_000
 # No value is stale sooner: at rate 1, and with a clock that runs faster than the wall's, where a
 # pause of the processor is that much longer.
 _TIGHTEST_WALL_S, _TIGHTEST_FASTER_WALL_S = 1.5, 5.0
+# Of so many values of a temperature between two looks of the alarms those that matter least go.
+_MOST_BETWEEN = 1024
 
 
 def allowed_age_s(max_age_s: float, rate: float) -> float:
@@ -111,11 +115,19 @@ class Readings:
     rate: float = 1.0
     _paces: dict[str, _Pace] = field(default_factory=dict)
     _means: dict[str, _Mean] = field(default_factory=dict)
+    _between: dict[str, list[Seen]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self._between = {
+            channel: []
+            for channel in self.max_age_s
+            if channel.startswith("t_") or channel == AMBIENT
+        }
 
     def add(self, samples: Iterable[Sample]) -> list[Sample]:
         """Take in samples; returns those of this asset that are news, not late."""
         news: list[Sample] = []
-        latest, means = self.latest, self._means
+        latest, means, seen = self.latest, self._means, self._between
         for sample in samples:
             asset, channel, time_us, value, quality, received_us = sample
             if asset != self.asset:
@@ -135,10 +147,13 @@ class Readings:
                 if pace is None:
                     pace = self._paces[channel] = _Pace()
                 pace.note(received_us)
-            if not (is_good(quality) and math.isfinite(value)):
-                continue
             if not fresh:
                 continue  # a gateway sends what it kept while it was away: not the present
+            good = is_good(quality) and math.isfinite(value)
+            if channel in seen:
+                self._note(sample, known, value if good else None)
+            if not good:
+                continue
             mean = means.get(channel)
             if mean is None:
                 mean = means[channel] = _Mean()
@@ -154,6 +169,11 @@ class Readings:
                 self.latest[channel] = sample._replace(
                     time_us=sample.time_us + by_us, received_us=sample.received_us + by_us
                 )
+        for channel, seen in self._between.items():
+            self._between[channel] = [
+                (at_us if is_since_set(at_us, now_us, self.rate) else at_us + by_us, value)
+                for at_us, value in seen
+            ]
         for pace in self._paces.values():
             pace.clock_set(by_us)
 
@@ -162,6 +182,29 @@ class Readings:
         means = {channel: mean.total / mean.count for channel, mean in self._means.items()}
         self._means.clear()
         return means
+
+    def take_between(self) -> dict[str, list[Seen]]:
+        """What each temperature was since the last call, where there was a sample of it.
+
+        That of ambient begins with the last one of before: it holds until the next.
+        """
+        taken = {channel: seen for channel, seen in self._between.items() if seen}
+        for channel, seen in taken.items():
+            self._between[channel] = seen[-1:] if channel == AMBIENT else []
+        return taken
+
+    def _note(self, sample: Sample, known: Sample | None, value: float | None) -> None:
+        """Note a value for the next look of the alarms, and a gap where the one before was old."""
+        seen = self._between[sample.channel]
+        at_us = min(sample.time_us, sample.received_us)
+        if known is not None:
+            old_us = min(known.time_us, known.received_us)
+            old_us += round(self.age_limit_s(sample.channel) * 1e6)
+            if old_us < at_us:
+                seen.append((old_us, None))
+        seen.append((at_us, value))
+        if len(seen) >= _MOST_BETWEEN:
+            self._between[sample.channel] = list(_extremes(seen))
 
     def age_limit_s(self, channel: str) -> float:
         """Process seconds after which the channel is stale, as far as known now."""
@@ -269,3 +312,16 @@ class Readings:
         A gateway's clock may be ahead of ours: such a sample is as old as its receipt.
         """
         return abs(now_us - min(sample.time_us, sample.received_us)) / 1e6
+
+
+def _extremes(seen: Sequence[Seen]) -> Iterator[Seen]:
+    """Give of each eight values the ends, the lowest, and the highest with what followed it."""
+    for begin in range(0, len(seen), 8):
+        some = seen[begin : begin + 8]
+        values = [math.nan if value is None else value for _, value in some]
+        known = [place for place, value in enumerate(values) if not math.isnan(value)]
+        kept = {0, len(some) - 1}
+        if known:
+            highest = max(known, key=values.__getitem__)
+            kept |= {highest, highest + 1, min(known, key=values.__getitem__)}
+        yield from (one for place, one in enumerate(some) if place in kept)

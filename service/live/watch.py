@@ -75,8 +75,12 @@ class AlarmWatch:
         self._trusted = True
         self._withdrawn = False
 
-    def change(self, settings: AssetSection, overrides: Mapping[AlarmName, AlarmOverride]) -> None:
+    def change(
+        self, settings: AssetSection, overrides: Mapping[AlarmName, AlarmOverride], now_us: int
+    ) -> None:
         """Judge by other limits and settings of alarms; what is disabled ends with the next step.
+
+        What was measured until now is judged by those of before.
 
         Parameters
         ----------
@@ -84,7 +88,12 @@ class AlarmWatch:
             The asset, with its limits.
         overrides : mapping of AlarmName to AlarmOverride
             What single alarms have otherwise than their kind says.
+        now_us : int
+            Process time.
         """
+        context = self._context(now_us)
+        context.between = self._readings.take_between()
+        self._evaluate(context, "step")
         self._settings = settings
         self._overrides = overrides
         self._withdrawn = False
@@ -110,6 +119,9 @@ class AlarmWatch:
         self._comparison.step(turns=self._standing_since_us is None)
         self._sources.look(now_us)
         context = self._context(now_us)
+        context.between = self._readings.take_between()
+        if not self._withdrawn:
+            self._book.pause_delays(self._settings.id)
         conditions = self._evaluate(context, "step")
         if not self._withdrawn:
             self._withdraw(context, {condition.key for condition in conditions})

@@ -11,7 +11,7 @@ from alarm_bench import HandClock
 
 from adapters.samples import Quality, Sample
 from service.alarms import AlarmBook, AlarmCondition
-from service.domain.alarm_guidance import AlarmOverride
+from service.domain.alarm_guidance import AlarmName, AlarmOverride
 from service.live.estimate import LiveEstimate, RunningModel
 from service.live.readings import Readings
 from service.live.reference import advance_together
@@ -68,6 +68,9 @@ class Machine:
             self.estimate.step(now_us, means)
             advance_together([self.watch.follow(now_us)])
             self.watch.step(now_us, means, trusted)
+
+    def change(self, settings: AssetSection, overrides: Mapping[AlarmName, AlarmOverride]) -> None:
+        self.watch.change(settings, overrides, self.clock.now_us())
 
     def states(self) -> dict[tuple[str, str], str]:
         return {
@@ -337,16 +340,16 @@ def test_changed_settings_count_from_the_next_sample_and_keep_the_alarm(
     assert (before.limit_value, before.priority) == (70.0, 2)
     lower = asset_section(limits={"t_inner_ring_c": {"warning": 60, "alarm": 65}})
     name = ("measured limit", "t_inner_ring_c", "warning")
-    machine.watch.change(lower, {name: AlarmOverride(priority=3, on_delay_s=0.0)})
+    machine.change(lower, {name: AlarmOverride(priority=3, on_delay_s=0.0)})
     machine.run(hot, 15)
     states = {alarm.level: alarm for alarm in machine.book.active()}
     after = states["warning"]
     assert (after.id, after.limit_value, after.priority) == (before.id, 60.0, 3)
     assert states["alarm"].state == "UNACK", "the lower alarm limit counts at once"
-    machine.watch.change(lower, {name: AlarmOverride(enabled=False)})
+    machine.change(lower, {name: AlarmOverride(enabled=False)})
     machine.run(hot, STEP_S)
     assert LIMIT not in machine.states()
-    machine.watch.change(lower, {})
+    machine.change(lower, {})
     machine.run(hot, 15)
     assert machine.states()[LIMIT] == "UNACK"
 
