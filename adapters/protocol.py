@@ -69,11 +69,16 @@ class SourceHealth:
 
 @dataclass(frozen=True, slots=True)
 class ChannelBinding:
-    """A channel of an asset and where it comes from (the driver's channel model)."""
+    """A channel of an asset and where it comes from (the driver's channel model).
+
+    ``unit``: of the channel, into which a driver turns values whose source states another one;
+    empty where there is none.
+    """
 
     asset: str
     channel: str
     config: MeasuredChannel
+    unit: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -70,9 +70,28 @@ def open_table(path: Path, delimiter: str = ",") -> Iterator[tuple[list[str], It
     Yields the names of the columns, and the rows in order; empty lines are left out. Raises
     `TableFileError` if the file cannot be read, also in the middle of it.
     """
-    is_parquet = path.suffix.lower() in (".parquet", ".pq")
-    with _parquet(path) if is_parquet else _csv(path, delimiter) as table:
+    with _parquet(path) if _is_parquet(path) else _csv(path, delimiter) as table:
         yield table
+
+
+def units_stated(path: Path) -> dict[str, str]:
+    """Units of the columns of a Parquet file, from their metadata; of CSV none.
+
+    Raises `TableFileError` if the file cannot be read.
+    """
+    if not _is_parquet(path):
+        return {}
+    with _parquet_file(path) as (_, file):
+        return {
+            field.name: text.decode("utf-8", "replace")
+            for field in file.schema_arrow
+            for key, text in (field.metadata or {}).items()
+            if key.lower() in (b"unit", b"units")
+        }
+
+
+def _is_parquet(path: Path) -> bool:
+    return path.suffix.lower() in (".parquet", ".pq")
 
 
 @contextmanager
@@ -167,7 +186,7 @@ def _is_empty(cells: list[str] | RowError) -> bool:
 
 
 @contextmanager
-def _parquet(path: Path) -> Iterator[tuple[list[str], Iterator[TableRow]]]:
+def _parquet_file(path: Path) -> Iterator[tuple[Any, Any]]:
     pa, parquet = load_pyarrow()
     try:
         file = parquet.ParquetFile(path)
@@ -178,6 +197,12 @@ def _parquet(path: Path) -> Iterator[tuple[list[str], Iterator[TableRow]]]:
     except pa.ArrowException as error:
         raise TableFileError(f"{path.name}: not a Parquet file ({one_line(error)})") from error
     with file:
+        yield pa, file
+
+
+@contextmanager
+def _parquet(path: Path) -> Iterator[tuple[list[str], Iterator[TableRow]]]:
+    with _parquet_file(path) as (pa, file):
         total = max(file.metadata.num_rows, 1)
 
         def rows() -> Iterator[TableRow]:

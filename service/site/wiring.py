@@ -10,7 +10,7 @@ from pydantic import BaseModel, ValidationError
 from adapters.configuration import ConfigurationError, MeasuredChannel, SourceConfig, suggestion
 from adapters.protocol import ChannelBinding, Clock, Driver, DriverSpec, PlanBinding
 from adapters.registry import DRIVERS
-from service.domain.channels import CONTROLLER_CHANNELS
+from service.domain.channels import CONTROLLER_CHANNELS, unit_of
 from service.site.asset_section import AssetSection
 from service.site.check_limits import CheckLimits, limits_of, within_machine
 from service.site.configuration import SettingsError, TomlTable, describe_all
@@ -247,7 +247,7 @@ def _wire_channel(
     if source is None:
         return None
     config = _validated(source.spec.channel_model, table, key)
-    source.channels.append(ChannelBinding(asset, name, config))
+    source.channels.append(ChannelBinding(asset, name, config, unit_of(name)))
     return _facts(name, source_name, source.config, config)
 
 

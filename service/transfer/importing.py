@@ -16,6 +16,7 @@ from adapters.tables import (
     has_decimal_comma,
     number_of,
     open_table,
+    units_stated,
 )
 from adapters.times import POSSIBLE, is_possible
 from adapters.words import shown
@@ -110,7 +111,7 @@ def import_file(
         return report
     delimiter = "," if plan is None else plan.delimiter
     with open_table(path, delimiter) as (columns, rows):
-        layout = layout_of(path.name, columns, plan, own_channels)
+        layout = layout_of(path.name, columns, plan, own_channels, units_stated(path))
         time_us_of = time_reader(path.name, layout, start_us)
         _check_whole(path.name, layout, rows)
     with open_table(path, delimiter) as (_, rows):

@@ -1,19 +1,22 @@
 """Which column of a file is which channel."""
 
 import tomllib
+from collections import abc
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
+from types import MappingProxyType
 from typing import Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from adapters.configuration import first_repeated
 from adapters.tables import RowError, TimeStamp, number_of
+from adapters.units import factors_of, unit_in, units_for
 from adapters.words import shown
 from service.clock import from_rfc3339
-from service.domain.channels import NODES, OPERATING_CHANNELS, RING_SENSORS
+from service.domain.channels import NODES, OPERATING_CHANNELS, RING_SENSORS, unit_of
 from service.site.configuration import describe
 from service.transfer.errors import TransferError
 
@@ -115,12 +118,43 @@ def read_mapping(path: Path) -> Mapping:
 
 
 def layout_of(
-    file: str, columns: Sequence[str], mapping: Mapping | None, own_channels: Sequence[str] | None
+    file: str,
+    columns: Sequence[str],
+    mapping: Mapping | None,
+    own_channels: Sequence[str] | None,
+    units: abc.Mapping[str, str] = MappingProxyType({}),
 ) -> Layout:
     """Find out how a file with these columns is read.
 
-    Raises `TransferError` if a column is missing, unknown or there twice; one line that names it.
+    Raises `TransferError` if a column is missing, unknown, there twice or in a unit that is none of
+    its channel; one line that names it.
+
+    - ``units``: of columns, as the file states them beside their names.
     """
+    layout = _layout(file, columns, mapping, own_channels)
+    channels = {
+        channel: _in_our_unit(file, channel, one, units.get(one.column, ""))
+        for channel, one in layout.channels.items()
+    }
+    return replace(layout, channels=channels)
+
+
+def _in_our_unit(file: str, channel: str, one: ChannelColumn, unit: str) -> ChannelColumn:
+    ours = unit_of(channel)
+    unit = unit or unit_in(one.column, ours)
+    factors = factors_of(one, ours, unit)
+    if factors is None:
+        raise TransferError(
+            f"{file}: column {one.column!r} is in {unit!r}; expected "
+            f"{', '.join(units_for(ours))} for {channel}, or a mapping with scale"
+        )
+    scale, offset = factors
+    return one.model_copy(update={"scale": scale, "offset": offset})
+
+
+def _layout(
+    file: str, columns: Sequence[str], mapping: Mapping | None, own_channels: Sequence[str] | None
+) -> Layout:
 
     def wrong(text: str) -> TransferError:
         return TransferError(f"{file}: line 1: {text}")

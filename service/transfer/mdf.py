@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from adapters.configuration import first_repeated
 from adapters.samples import Quality
 from adapters.tables import TableFileError
-from service.domain.channels import NODES, OPERATING_CHANNELS, RING_SENSORS
+from adapters.units import factors_of, units_for
+from service.domain.channels import NODES, OPERATING_CHANNELS, RING_SENSORS, unit_of
 from service.transfer.errors import TransferError
 from service.transfer.mapping import ChannelColumn, Mapping
-from service.transfer.units import into_ours, units_of
 
 SUFFIX: Final = ".mf4"
 QUALITY_SUFFIX = ".quality"
@@ -349,12 +349,11 @@ def _bytes(file: str, one: _Chosen, quality: NDArray[Any]) -> NDArray[np.int64]:
 
 def _factors(file: str, one: _Chosen, unit: str) -> tuple[float, float]:
     """Scale and offset: as the mapping has them, else from the unit of the file."""
-    if {"scale", "offset"} & one.source.model_fields_set:
-        return one.source.scale, one.source.offset
-    found = into_ours(one.channel, unit)
+    ours = unit_of(one.channel)
+    found = factors_of(one.source, ours, unit)
     if found is None:
         raise TransferError(
             f"{file}: channel {one.source.column!r} is in {unit!r}; expected "
-            f"{', '.join(units_of(one.channel))} for {one.channel}, or a mapping with scale"
+            f"{', '.join(units_for(ours))} for {one.channel}, or a mapping with scale"
         )
     return found

@@ -20,6 +20,7 @@ from adapters.drivers.can.decoding import BoundMessage, BoundSignal, Page, Singl
 from adapters.drivers.can.no_value import no_value
 from adapters.drivers.can.senders import ALL_IDENTIFIER_BITS, identifier_mask, senders
 from adapters.protocol import ChannelBinding, PlanBinding
+from adapters.units import into_unit, units_for
 
 MOST_FOUND = 4096  # identifiers remembered
 
@@ -159,7 +160,23 @@ def _bound_signal(
         # The limits of the DBC are decimal numbers, the value is computed: half a step of slack.
         slack=1e-6 * abs(scale) if signal.is_float else 0.5 * abs(scale),
         valid_range=config.valid_range,
+        into_unit=_into_unit(binding, config, signal),
     )
+
+
+def _into_unit(binding: ChannelBinding, config: CanChannel, signal: Signal) -> tuple[float, float]:
+    """Scale and offset from the signal's unit into the channel's. Raises `ConfigurationError`."""
+    unit = config.unit or signal.unit or ""
+    found = into_unit(binding.unit, unit)
+    if found is None:
+        stated = f"unit {unit!r}" if config.unit else f"signal {signal.name!r} is in {unit!r}"
+        known = units_for(binding.unit)
+        where = "" if config.unit else f', or unit = "{known[0]}" where the DBC file is wrong'
+        raise ConfigurationError(
+            f"channel {binding.asset}/{binding.channel}: {stated}; expected "
+            f"{', '.join(known)}{where}"
+        )
+    return found
 
 
 def _sentinels(binding: ChannelBinding, config: CanChannel, signal: Signal) -> Sequence[float]:

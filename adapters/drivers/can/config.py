@@ -49,10 +49,12 @@ class CanChannel(MeasuredChannel):
 
     `frame_id_mask` says which bits of the identifier must agree with the DBC's. Without it all
     must; of a J1939 message neither priority nor, where the file has one message of the group, the
-    sender's address. `sentinels` are raw values, as decoded, that mean "no value".
+    sender's address. `sentinels` are raw values, as decoded, that mean "no value". `unit` is the
+    signal's, where the DBC file has none or a wrong one.
     """
 
     message: str
     signal: str
     frame_id_mask: int | None = Field(default=None, ge=1, le=0x1FFFFFFF)
     sentinels: tuple[float, ...] = ()
+    unit: str | None = Field(default=None, min_length=1, max_length=30)

@@ -78,6 +78,7 @@ class BoundSignal:
     limits: tuple[float, float]  # of the DBC file; infinite: none
     slack: float  # by which a value may be outside of them
     valid_range: tuple[float, float] | None
+    into_unit: tuple[float, float] = (1.0, 0.0)  # scale and offset into the channel's unit
     problem: str = ""
 
     @property
@@ -97,6 +98,7 @@ class BoundSignal:
         if not lowest - self.slack <= value <= highest + self.slack:
             said = f"{value:g} is outside of the DBC file's limits [{lowest:g}, {highest:g}]"
             return self._bad("outside_dbc_limits", said)
+        value = value * self.into_unit[0] + self.into_unit[1]
         if self.valid_range and not self.valid_range[0] <= value <= self.valid_range[1]:
             lowest, highest = self.valid_range
             self.problem = f"{value:g} is outside of valid_range [{lowest:g}, {highest:g}]"

@@ -5,7 +5,7 @@ import math
 from collections.abc import AsyncIterator, Sequence
 
 from adapters.drivers.opcua.session import Session, SessionError
-from adapters.drivers.opcua.values import FollowedNode, moment_of, reading_of
+from adapters.drivers.opcua.values import FollowedNode, moment_of
 from adapters.protocol import Clock
 from adapters.samples import Sample, is_bad
 
@@ -57,7 +57,7 @@ async def _windows(
         until_us = min(begin_us + WINDOW_US, end_us)
         found = await session.history(point.config.node, moment_of(begin_us), moment_of(until_us))
         now_us = clock.now_us()
-        readings = [reading_of(one, point.config, now_us, clock.rate) for one in found]
+        readings = [point.read(one, now_us, clock.rate) for one in found]
         inside = sorted({one.time_us: one for one in readings}.items())
         samples = [
             Sample(

@@ -4,7 +4,7 @@ import asyncio
 import logging
 import math
 import time
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Mapping, Sequence
 from dataclasses import replace
 from types import TracebackType
 from typing import Any, Self
@@ -13,9 +13,10 @@ from adapters.backoff import Backoff
 from adapters.drivers.opcua.backfill import fill_in
 from adapters.drivers.opcua.config import OpcUaChannel, OpcUaSource, check
 from adapters.drivers.opcua.session import Session, SessionError
-from adapters.drivers.opcua.values import FollowedNode, compared, moment_of, reading_of
+from adapters.drivers.opcua.values import FollowedNode, compared, moment_of
 from adapters.protocol import ChannelBinding, Clock, PlanBinding, SourceHealth
 from adapters.samples import Batch, Quality, Sample, is_bad, is_good, next_time_us
+from adapters.units import factors_of, units_for
 
 logger = logging.getLogger(__name__)
 
@@ -49,6 +50,7 @@ class OpcUaDriver:
         self._clock = clock
         self._session = Session(source)
         self._points = [_point(binding) for binding in channels]
+        self._given = [point.config for point in self._points]
         self._by_node: dict[str, list[FollowedNode]] = {}
         for point in self._points:
             self._by_node.setdefault(point.config.node, []).append(point)
@@ -119,6 +121,7 @@ class OpcUaDriver:
         """Connect, and yield what comes until the connection is lost."""
         session = self._session = Session(self._source)
         refused = await session.open(self._by_node)
+        self._take_units(session.units)
         if self._was_connected:
             self._health.reconnects += 1
             logger.info("source %s: reconnected", self.name)
@@ -153,6 +156,19 @@ class OpcUaDriver:
             self._begin_to_fill_in(session)
         raise SessionError(session.lost)
 
+    def _take_units(self, units: Mapping[str, str]) -> None:
+        """Turn values into the channels' units; what cannot be turned is doubted."""
+        for point, given in zip(self._points, self._given, strict=True):
+            unit = units.get(given.node, "")
+            factors = factors_of(given, point.unit, unit)
+            point.doubt = ""
+            if factors is None:
+                factors = given.scale, given.offset
+                known = ", ".join(units_for(point.unit))
+                point.doubt = f"the server has it in {unit!r}; expected {known}, or scale"
+            keys = {"scale": factors[0], "offset": factors[1]}
+            point.config = given.model_copy(update=keys)
+
     async def _wait(self, session: Session) -> None:
         """Wait for a notification; not for long, as history may come or a node fall silent."""
         try:
@@ -184,7 +200,7 @@ class OpcUaDriver:
         ]
 
     def _sample(self, point: FollowedNode, value: Any, now_us: int, stands: bool) -> Sample | None:
-        found = reading_of(value, point.config, now_us, self._clock.rate)
+        found = point.read(value, now_us, self._clock.rate)
         reading, is_same = compared(found, point, now_us)
         time_us = reading.time_us
         first = point.label not in self._back
@@ -326,4 +342,4 @@ class OpcUaDriver:
 def _point(binding: ChannelBinding) -> FollowedNode:
     if not isinstance(binding.config, OpcUaChannel):
         raise TypeError(f"{binding.asset}/{binding.channel}: expected an OpcUaChannel")
-    return FollowedNode(binding.asset, binding.channel, binding.config)
+    return FollowedNode(binding.asset, binding.channel, binding.config, unit=binding.unit)

@@ -43,6 +43,7 @@ class Session:
     - ``changed``: set when notifications wait, or the connection is lost.
     - ``lost``: why the connection is of no use any more; empty while it is.
     - ``dropped``: notifications that were not taken in time.
+    - ``units``: of nodes, as the server states them (Part 8, EngineeringUnits).
     """
 
     def __init__(self, source: OpcUaSource) -> None:
@@ -54,6 +55,7 @@ class Session:
         self.changed = asyncio.Event()
         self.lost = ""
         self.dropped = 0
+        self.units: dict[str, str] = {}
 
     async def open(self, nodes: Iterable[str]) -> dict[str, str]:
         """Connect and subscribe to nodes; returns those that the server does not give, and why.
@@ -62,7 +64,9 @@ class Session:
         """
         try:
             await self._connect()
-            return await self._subscribe(list(dict.fromkeys(nodes)))
+            refused = await self._subscribe(list(dict.fromkeys(nodes)))
+            self.units = await self._stated_units()
+            return refused
         except WENT_WRONG as error:
             await self.close()
             raise SessionError(self._why(error)) from error
@@ -211,6 +215,34 @@ class Session:
             return {}
         return dict(zip(names, await subscription.create_monitored_items(requests), strict=True))
 
+    async def _stated_units(self) -> dict[str, str]:
+        """Names of the units of nodes; without those whose server states none."""
+        found: dict[str, str] = {}
+        names = list(self._nodes)
+        for begin in range(0, len(names), NODES_PER_REQUEST):
+            part = names[begin : begin + NODES_PER_REQUEST]
+            paths = [_unit_path(self._nodes[name]) for name in part]
+            try:
+                targets = await self._client.uaclient.translate_browsepaths_to_nodeids(paths)
+                properties = {
+                    name: result.Targets[0].TargetId
+                    for name, result in zip(part, targets, strict=True)
+                    if result.StatusCode.is_good() and result.Targets
+                }
+                if not properties:
+                    continue
+                request = ua.ReadParameters()
+                request.NodesToRead = [_value_of(_local(one)) for one in properties.values()]
+                values = await self._client.uaclient.read(request)
+            except (UaError, TimeoutError):  # a server need not have these services
+                return found
+            for name, value in zip(properties, values, strict=True):
+                unit = value.Value.Value if value.Value is not None else None
+                text = getattr(getattr(unit, "DisplayName", None), "Text", None)
+                if isinstance(text, str) and text.strip():
+                    found[name] = text.strip()
+        return found
+
     async def _node_id(self, name: str) -> Any:
         if name.startswith("nsu="):
             uri, _, rest = name.removeprefix("nsu=").partition(";")
@@ -237,6 +269,22 @@ def _value_of(node_id: Any) -> Any:
     item.NodeId = node_id
     item.AttributeId = ua.AttributeIds.Value
     return item
+
+
+def _local(node_id: Any) -> Any:
+    """The same node as one of this server: a target of a path has a longer form."""
+    return ua.NodeId(node_id.Identifier, node_id.NamespaceIndex, node_id.NodeIdType)
+
+
+def _unit_path(node_id: Any) -> Any:
+    step = ua.RelativePathElement()
+    step.ReferenceTypeId = ua.NodeId(ua.ObjectIds.HasProperty)
+    step.IsInverse, step.IncludeSubtypes = False, True
+    step.TargetName = ua.QualifiedName("EngineeringUnits", 0)
+    path = ua.BrowsePath()
+    path.StartingNode = node_id
+    path.RelativePath.Elements = [step]
+    return path
 
 
 def _is_filter_refused(result: Any) -> bool:

@@ -53,11 +53,21 @@ class FollowedNode:
     ahead_s: float = 0.0
     history_problem: str = ""
     quiet_until: float = 0.0  # wall (monotonic) time before which no further line is logged
+    unit: str = ""  # of the channel
+    doubt: str = ""  # why no value of it is good, whatever its server says
 
     @property
     def label(self) -> str:
         """The channel's full name for messages."""
         return f"{self.asset}/{self.channel}"
+
+    def read(self, found: Any, now_us: int, rate: float) -> NodeReading:
+        """Make a reading of a data value of the node."""
+        reading = reading_of(found, self.config, now_us, rate)
+        if self.doubt and is_good(reading.quality):
+            uncertain = int(Quality.UNCERTAIN)
+            return reading._replace(quality=uncertain, kind="unit", reason=self.doubt)
+        return reading
 
 
 def _with_its_clock(reading: NodeReading, point: FollowedNode, now_us: int) -> NodeReading:

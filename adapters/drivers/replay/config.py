@@ -68,6 +68,7 @@ class ReplayChannel(MeasuredChannel):
     signal: str | None = None
     frame_id_mask: int | None = Field(default=None, ge=1, le=0x1FFFFFFF)
     sentinels: tuple[float, ...] = ()
+    unit: str | None = Field(default=None, min_length=1, max_length=30)
 
     @model_validator(mode="after")
     def _one_place(self) -> Self:
@@ -75,4 +76,6 @@ class ReplayChannel(MeasuredChannel):
             raise ValueError("expected either column, or message and signal")
         if self.column is not None and self.sentinels:
             raise ValueError("sentinels: expected only with message and signal")
+        if self.column is not None and self.unit is not None:
+            raise ValueError("unit: expected only with message and signal; a column has scale")
         return self

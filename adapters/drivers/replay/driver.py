@@ -1,6 +1,7 @@
 """The replay driver."""
 
 import asyncio
+import dataclasses
 import logging
 from collections.abc import AsyncIterator, Iterator, Sequence
 from contextlib import contextmanager
@@ -16,8 +17,9 @@ from adapters.drivers.replay.config import ReplayChannel, ReplaySource
 from adapters.drivers.replay.tables import open_recording
 from adapters.protocol import ChannelBinding, Clock, PlanBinding, SourceHealth
 from adapters.samples import Batch, Quality, Sample, is_good
-from adapters.tables import RowError
+from adapters.tables import RowError, TableFileError, units_stated
 from adapters.times import EARLIEST_US, POSSIBLE, dated, is_possible
+from adapters.units import factors_of, unit_in, units_for
 
 if TYPE_CHECKING:
     import can
@@ -197,6 +199,32 @@ def check(
                     f"channel {binding.asset}/{binding.channel}: column {column!r} is not in "
                     f"{source.file.name!r}; {suggestion(column, columns)}"
                 )
+    _scaled(source, channels)
+
+
+def _scaled(source: ReplaySource, channels: Sequence[ChannelBinding]) -> list[ChannelBinding]:
+    """Give the channels of a table scale and offset of the units that it states.
+
+    Raises `ConfigurationError` for one that is none of the channel's.
+    """
+    try:
+        stated = units_stated(source.file)
+    except TableFileError as error:
+        raise ConfigurationError(f"file {str(source.file)!r}: {error}") from None
+    found = []
+    for binding in channels:
+        config = _config(binding)
+        column = config.column or ""
+        unit = stated.get(column) or unit_in(column, binding.unit)
+        factors = factors_of(config, binding.unit, unit)
+        if factors is None:
+            raise ConfigurationError(
+                f"channel {binding.asset}/{binding.channel}: column {column!r} is in {unit!r}; "
+                f"expected {', '.join(units_for(binding.unit))}, or scale"
+            )
+        keys = {"scale": factors[0], "offset": factors[1]}
+        found.append(dataclasses.replace(binding, config=config.model_copy(update=keys)))
+    return found
 
 
 def _undated(source: ReplaySource, expected: str) -> ConfigurationError:
@@ -220,7 +248,7 @@ def _events(
             yield _frames(source, channels, log, now_us)
         return
     by_column: dict[str, list[ChannelBinding]] = {}
-    for binding in channels:
+    for binding in _scaled(source, channels):
         by_column.setdefault(_config(binding).column or "", []).append(binding)
     with open_recording(source.file) as recording:
 
@@ -291,7 +319,9 @@ def _as_can(
     for binding in channels:
         keys = _config(binding).model_dump(include=set(CanChannel.model_fields))
         bound.append(
-            ChannelBinding(binding.asset, binding.channel, CanChannel.model_validate(keys))
+            ChannelBinding(
+                binding.asset, binding.channel, CanChannel.model_validate(keys), binding.unit
+            )
         )
     return bus, bound
 

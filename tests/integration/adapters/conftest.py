@@ -16,6 +16,7 @@ import pytest
 from adapters.protocol import ChannelBinding, Driver, PlanBinding
 from adapters.registry import driver_spec
 from adapters.samples import Batch, PlannedProfile, Sample
+from service.domain.channels import unit_of
 
 PEERS = Path(__file__).parent / "peers"
 
@@ -88,7 +89,12 @@ async def running_driver(
 ) -> AsyncIterator[Record]:
     spec = driver_spec(source["driver"])
     bindings = [
-        ChannelBinding("bench", name, spec.channel_model.model_validate({"source": "s", **keys}))
+        ChannelBinding(
+            "bench",
+            name,
+            spec.channel_model.model_validate({"source": "s", **keys}),
+            unit_of(name),
+        )
         for name, keys in channels.items()
     ]
     plans = []

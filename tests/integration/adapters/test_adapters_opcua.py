@@ -170,6 +170,26 @@ async def test_strange_values_are_never_good(
         assert record.driver.health().errors["overflow"] >= 1
 
 
+async def test_values_are_turned_from_the_unit_that_the_server_states(
+    follow: Callable[..., Any], peer: Callable[..., Any], free_port: int, origin: dt.datetime
+) -> None:
+    server = peer("opcua_server.py", free_port, origin.isoformat())
+    await asyncio.to_thread(server.start)
+    expected = {
+        "t_kelvin_c": (23.0, Quality.GOOD),
+        "load_n": (2650.0, Quality.GOOD),
+        "t_pressure_c": (3.0, Quality.UNCERTAIN),
+    }
+    async with follow(*expected) as record:
+        await record.until(lambda: all(record.of(name) for name in expected))
+        for name, (value, quality) in expected.items():
+            for one in record.of(name):
+                assert (one.value, one.quality) == (pytest.approx(value), quality), name
+        assert record.driver.health().problems == {
+            "bench/t_pressure_c": "the server has it in 'bar'; expected °C, K, °F, or scale"
+        }
+
+
 @pytest.mark.parametrize("begins", ["before the driver connects", "while the driver follows"])
 async def test_every_change_is_taken_though_the_source_time_stands_still(
     begins: str,

@@ -2,7 +2,7 @@
 
 Value k of TIC101.PV belongs to the moment ORIGIN + k * 0.2 s, whether the server ran then or not;
 every 25th has a sensor failure. TIC102.PV is the same without history, TIC103.PV never changes,
-TIC104.PV is written by the test, the others are strange.
+TIC104.PV is written by the test, those of UNITS state a unit, the others are strange.
 """
 
 import asyncio
@@ -32,6 +32,8 @@ STRANGE = {
     "huge": ua.Variant(2**63 - 1, ua.VariantType.Int64),
     "flag": ua.Variant(True),
 }
+
+UNITS = {"t_kelvin_c": ("K", 296.15), "t_pressure_c": ("bar", 3.0), "load_n": ("kN", 2.65)}
 
 
 def value(k: int, origin: dt.datetime) -> ua.DataValue:
@@ -101,6 +103,14 @@ async def main(port: int, origin: dt.datetime, folder: Path | None) -> None:
         nodes[name] = await server.nodes.objects.add_variable(node_id, name, start, None, any_type)
     await nodes["TIC101.PV"].set_attr_bit(ua.AttributeIds.AccessLevel, ua.AccessLevel.HistoryRead)
     await nodes["TIC104.PV"].set_writable()
+    for name, (unit, number) in UNITS.items():
+        node = await server.nodes.objects.add_variable(ua.NodeId(name, space), name, number)
+        about = ua.EUInformation(
+            NamespaceUri="http://www.opcfoundation.org/UA/units/un/cefact",
+            DisplayName=ua.LocalizedText(unit),
+        )
+        place, title = ua.NodeId(f"{name}/eu", space), ua.QualifiedName("EngineeringUnits", 0)
+        await node.add_property(place, title, about)
     an_hour_ago = origin - dt.timedelta(hours=1)
 
     async def write(name: str, what: ua.DataValue) -> None:

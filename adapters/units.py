@@ -1,0 +1,96 @@
+"""Units that sources and files state, turned into those of our channels."""
+
+import math
+import re
+from typing import Final, Protocol
+
+# By our unit: the names that others give it or another unit, with scale and offset into ours.
+# "Â°C" is what readers make of a UTF-8 file that they take for a Western European one.
+_NAMES: Final = {
+    "°C": {
+        ("°C", "degC", "℃", "C", "Cel", "Celsius", "degCelsius", "degreesC", "GradC", "Â°C"): (
+            1.0,
+            0.0,
+        ),
+        ("K", "degK", "Kelvin"): (1.0, -273.15),
+        ("°F", "degF", "℉", "F", "Fahrenheit", "degFahrenheit", "degreesF", "Â°F"): (
+            5.0 / 9.0,
+            -160.0 / 9.0,
+        ),
+    },
+    "rpm": {
+        ("rpm", "1/min", "min-1", "min^-1", "/min", "r/min", "rev/min", "U/min"): (1.0, 0.0),
+        ("1/s", "s-1", "s^-1", "rps", "r/s", "rev/s", "Hz"): (60.0, 0.0),
+        ("rad/s",): (30.0 / math.pi, 0.0),
+    },
+    "N": {
+        ("N", "Newton"): (1.0, 0.0),
+        ("daN",): (10.0, 0.0),
+        ("kN", "Kilonewton"): (1e3, 0.0),
+        ("lbf",): (4.4482216152605, 0.0),
+    },
+}
+_IN_BRACKETS = re.compile(r"[\[(]([^\[\]()]*)[\])]\s*$")
+
+
+def _plain(unit: str) -> str:
+    """Leave out what people write differently: spaces, underscores, capitals."""
+    return re.sub(r"[\s_]", "", unit).casefold()
+
+
+_KNOWN: Final = {
+    ours: {_plain(name): factors for names, factors in groups.items() for name in names}
+    for ours, groups in _NAMES.items()
+}
+
+
+def into_unit(ours: str, theirs: str) -> tuple[float, float] | None:
+    """Give the scale and the offset that turn values in their unit into ours.
+
+    ``theirs``: as a source or a file has it; empty counts as ours. None where it is none that goes
+    into ours. Of what we have no other units for, all counts as ours.
+    """
+    if not theirs.strip() or ours not in _KNOWN:
+        return 1.0, 0.0
+    return _KNOWN[ours].get(_plain(theirs))
+
+
+class Scaled(Protocol):
+    """What is configured of a channel: its value is what was read times scale plus offset."""
+
+    @property
+    def scale(self) -> float:
+        """Factor into the channel's unit."""
+
+    @property
+    def offset(self) -> float:
+        """Added after that."""
+
+    @property
+    def model_fields_set(self) -> set[str]:
+        """Keys that are given."""
+
+
+def factors_of(config: Scaled, ours: str, theirs: str) -> tuple[float, float] | None:
+    """Scale and offset as configured, else those of the stated unit; None as of `into_unit`."""
+    if {"scale", "offset"} & config.model_fields_set:
+        return config.scale, config.offset
+    return into_unit(ours, theirs)
+
+
+def units_for(ours: str) -> tuple[str, ...]:
+    """Units that `into_unit` turns into ours, ours first."""
+    return tuple(names[0] for names in _NAMES.get(ours, {}))
+
+
+def unit_in(heading: str, ours: str) -> str:
+    """Unit at the end of a column's name, in brackets: ``Load [kN]``; empty where there is none.
+
+    What stands in round brackets is one only where `into_unit` knows it, and a number never is.
+    """
+    found = _IN_BRACKETS.search(heading)
+    text = found[1].strip() if found else ""
+    if not re.search(r"[^\W\d]|°", text):
+        return ""
+    is_round = heading.rstrip().endswith(")")
+    return "" if is_round and into_unit(ours, text) is None else text

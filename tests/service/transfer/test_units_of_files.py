@@ -1,0 +1,69 @@
+"""Units that a file states are converted as it is imported."""
+
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from .conftest import Run, stored
+
+HEADINGS = {
+    "speed_rpm": ("Speed [1/s]", 25.0, 1500.0),
+    "load_n": ("Load [kN]", 2.65, 2650.0),
+    "ambient_c": ("Ambient (K)", 296.15, 23.0),
+    "t_inner_ring_c": ("Inner [°F]", 104.0, 40.0),
+    "t_outer_ring_c": ("Outer (left)", 38.0, 38.0),
+}
+TIME = "2026-03-01T12:00:00Z"
+
+
+def mapping(tmp_path: Path, columns: dict[str, str], more: str = "") -> Path:
+    path = tmp_path / "m.toml"
+    channels = "".join(f'[channels.{one}]\ncolumn = "{name}"\n' for one, name in columns.items())
+    path.write_text(f'[time]\ncolumn = "time"\n{channels}{more}', encoding="utf-8")
+    return path
+
+
+def test_units_in_the_headings_of_a_csv_file(tmp_path: Path, run: Run) -> None:
+    names = {channel: heading for channel, (heading, _, _) in HEADINGS.items()}
+    path = tmp_path / "run.csv"
+    cells = ",".join(str(value) for _, value, _ in HEADINGS.values())
+    path.write_text(f"time,{','.join(names.values())}\n{TIME},{cells}\n", encoding="utf-8")
+    assert run("import", path, "--mapping", mapping(tmp_path, names))[0] == 0
+    found = {name: value for name, _, value, _ in stored(tmp_path)}
+    assert found == pytest.approx({name: ours for name, (_, _, ours) in HEADINGS.items()})
+
+
+def test_a_scale_of_the_mapping_counts_and_a_strange_unit_is_refused(
+    tmp_path: Path, run: Run
+) -> None:
+    names = {name: heading for name, (heading, _, _) in HEADINGS.items()} | {"load_n": "Load [t]"}
+    path = tmp_path / "run.csv"
+    path.write_text(f"time,{','.join(names.values())}\n{TIME},25,2,296,104,38\n", encoding="utf-8")
+    status, _, text = run("import", path, "--mapping", mapping(tmp_path, names))
+    assert status == 2
+    assert "column 'Load [t]' is in 't'; expected N, daN, kN, lbf for load_n" in text
+    assert stored(tmp_path) == []
+    names.pop("load_n")
+    scaled = '[channels.load_n]\ncolumn = "Load [t]"\nscale = 9806.65\n'
+    assert run("import", path, "--mapping", mapping(tmp_path, names, scaled))[0] == 0
+    assert ("load_n", 19613.3) in {(name, value) for name, _, value, _ in stored(tmp_path)}
+
+
+def test_units_in_the_metadata_of_parquet_columns(tmp_path: Path, run: Run) -> None:
+    units = {"ambient_c": b"K", "load_n": b"kN"}
+    time = pa.field("time", pa.timestamp("us", tz="UTC"))
+    fields = [
+        pa.field(name, pa.float64(), metadata={b"unit": units[name]} if name in units else None)
+        for name in HEADINGS
+    ]
+    given = {name: given if name in units else ours for name, (_, given, ours) in HEADINGS.items()}
+    columns = [pa.array([1_772_366_400_000_000], time.type)]
+    columns += [pa.array([value]) for value in given.values()]
+    table = pa.Table.from_arrays(columns, schema=pa.schema([time, *fields]))
+    path = tmp_path / "run.parquet"
+    pq.write_table(table, path)
+    assert run("import", path)[0] == 0
+    found = {name: value for name, _, value, _ in stored(tmp_path)}
+    assert found == pytest.approx({name: ours for name, (_, _, ours) in HEADINGS.items()})
