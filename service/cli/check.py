@@ -32,7 +32,7 @@ def check(
     """
     # Imported here: the field libraries take a second to load, which --help should not pay.
     from service.app.checking import environment_errors, ports_in_use
-    from service.ingest.probing import probe
+    from service.ingest.probing import probe, unit_doubts
     from service.logs import configure_logging
     from service.plant.publishers import warnings as publisher_warnings
     from service.site.examination import examine
@@ -56,6 +56,7 @@ def check(
     probed = asyncio.run(probe(found.wiring))
     errors += [where + line for line in probed.problems]
     warnings += [where + line for line in probed.warnings]
+    warnings += [where + line for line in unit_doubts(found.settings, probed)]
     if as_json:
         from service.documents.checks import CheckDocument
 

@@ -4,6 +4,7 @@ import json
 import math
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -69,21 +70,26 @@ def forecast(
             read_recording,
             write_forecast,
         )
+        from service.offline.unit_doubts import doubts_of_profile, doubts_of_recording
 
         identified = IdentifiedModel.load(model)
         network = identified.machine.network
         rows = read_profile(profile, network)
         check_writable(out)
+        doubts = doubts_of_profile(profile.name, rows, identified.machine)
         began = time.monotonic()
         try:
             if history is not None:
-                present = follow(identified, read_recording(history, network))
+                recording = read_recording(history, network)
+                doubts = doubts_of_recording(recording, identified.machine) + doubts
+                present = follow(identified, recording)
             else:
                 present = cold(identified, initial_temperature_c or 0.0)
         except FollowError as error:
             sys.stderr.write(f"bearing-twin: {error}; {out} is not written\n")
             raise typer.Exit(1) from error
         result = forecast_profile(identified, present, rows)
+        result = replace(result, labels=(*doubts, *result.labels))
         write_forecast(out, result.time_s, result.names, result.quantiles, result.whole_run)
         seconds = time.monotonic() - began
     document = {

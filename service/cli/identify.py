@@ -142,6 +142,7 @@ def identify(
         )
         from service.offline.population_file import Population
         from service.offline.tables import check_writable, read_recording
+        from service.offline.unit_doubts import doubts_of_recording
         from service.site.machines.machine import Machine
 
         procedure = check_options(method, budget, seed, loss)
@@ -155,6 +156,8 @@ def identify(
         elif population is not None:
             family = Population.load(population)
         recording = read_recording(data, machine.network)
+        for line in doubts_of_recording(recording, machine):
+            sys.stderr.write(f"bearing-twin: warning: {line}\n")
         began = time.monotonic()
         try:
             with _progress_bar() as report:

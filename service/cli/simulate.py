@@ -49,10 +49,13 @@ def simulate(
         from service.offline.model_file import IdentifiedModel
         from service.offline.simulation import RunAwayError, simulate_profile
         from service.offline.tables import check_writable, read_profile, write_simulation
+        from service.offline.unit_doubts import doubts_of_profile
 
         identified = IdentifiedModel.load(model)
         rows = read_profile(profile, identified.machine.network)
         check_writable(out)
+        for line in doubts_of_profile(profile.name, rows, identified.machine):
+            sys.stderr.write(f"bearing-twin: warning: {line}\n")
         began = time.monotonic()
         try:
             found = simulate_profile(identified, rows, initial_temperature_c)

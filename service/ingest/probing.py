@@ -10,6 +10,8 @@ from adapters.protocol import Driver
 from adapters.samples import Quality, Sample, is_good, meaning
 from service.clock import ProcessClock
 from service.ingest.quality import QualityChecks
+from service.site.machines.plausibility import doubts_of_values
+from service.site.settings import Settings
 from service.site.wiring import PUSH, SourceWiring, Wiring
 
 PROBE_WALL_S = 10.0
@@ -116,6 +118,19 @@ class Probe:
             for one in self.sources
             if one.up and one.detail != "ok" and one.name not in wrong
         ]
+
+
+def unit_doubts(settings: Settings | None, probe: Probe) -> list[str]:
+    """Say which good values may be in another unit than their channel, one line each."""
+    good: dict[str, dict[str, float | None]] = {}
+    for one in probe.channels:
+        if one.quality is not None and is_good(one.quality):
+            good.setdefault(one.asset, {})[one.channel] = one.value
+    return [
+        f"asset {asset.id}: {doubt.text}"
+        for asset in (settings.assets if settings is not None else ())
+        for doubt in doubts_of_values(asset.bearing, good.get(asset.id, {}))
+    ]
 
 
 async def probe(wiring: Wiring, limit_s: float = PROBE_WALL_S) -> Probe:

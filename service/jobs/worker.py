@@ -11,7 +11,9 @@ import numpy as np
 from service.documents.models import DriftDocument
 from service.jobs.comparison import EarlierVersion, drift_document, earlier_versions
 from service.jobs.relatives import NO_RELATIVES, Relatives
+from service.jobs.unit_gate import unless_in_another_unit
 from service.jobs.workspace import Convergence, JobFolder, Progress
+from service.site.machines.bearings import BearingSection
 from service.site.machines.machine import Machine
 from service.store.records import ModelVersion
 from twin_core.identification.checkpoint import CheckpointMismatchError
@@ -146,6 +148,7 @@ def run_identification(order: JobOrder) -> JobResult | None:
             model,
             order.data,
             fit,
+            bearing=order.machine.bearing,
             active=order.active,
             active_fitness=active_fitness,
             earlier=earlier_versions(order.earlier),
@@ -163,6 +166,7 @@ def assessed(
     data: IdentificationData,
     fit: IdentificationResult,
     *,
+    bearing: BearingSection | None,
     active: Posterior,
     active_fitness: float | None,
     earlier: Sequence[EarlierVersion],
@@ -180,6 +184,8 @@ def assessed(
     ----------
     model, data, fit
         The candidate and what it was identified from.
+    bearing
+        What it is a model of; None for a network of one's own.
     active, active_fitness
         Of the active model.
     earlier
@@ -207,6 +213,7 @@ def assessed(
             why = f"a gate refuses the model with the sisters' prior ({report.reason})"
             verdict = replace(verdict, accepted=False, reason=why, laws={})
             chosen, report = fit, alone
+    report = unless_in_another_unit(report, bearing, data)
     windows = [window_of(window.minutes) for window in data.windows]
     own = replace(fit.posterior, samples=fit.posterior.samples[:0])
     return JobResult(

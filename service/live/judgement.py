@@ -10,7 +10,7 @@ from service.alarms import AlarmBook
 from service.clock import rfc3339
 from service.documents.tags import Tag, tag
 from service.documents.verdicts import CODES, VerdictDocument
-from service.domain.channels import AMBIENT
+from service.domain.channels import AMBIENT, LOAD, SPEED
 from service.live.called_steps import NotSafeCall, called_steps_of, called_steps_to_rows
 from service.live.estimate import LiveEstimate
 from service.live.forecasting import Forecasting
@@ -18,6 +18,7 @@ from service.live.outlook import Outlook
 from service.live.readings import Readings
 from service.live.verdict import Evidence, called_steps, judge, missing_operation
 from service.site.asset_section import AssetSection
+from service.site.machines.plausibility import doubts_of_values
 from service.site.required_channels import required_channels
 
 #: A verdict looks ahead with no older forecast; process s, and at least this many wall s.
@@ -188,8 +189,17 @@ class Judgement:
                 if kind == "measured limit" and channel in self._settings.limits
             ),
             assumed_ambient_c=self.assumed_ambient_c,
+            doubts=self._doubts(now_us),
             called=self._called,
         )
+
+    def _doubts(self, now_us: int) -> tuple[str, ...]:
+        operation = {
+            name: self._readings.good_value(name, now_us)
+            for name in (SPEED, LOAD, AMBIENT)
+            if name in self._settings.channels
+        }
+        return tuple(one.words for one in doubts_of_values(self._settings.bearing, operation))
 
     def _follows(self, now_us: int) -> bool:
         time_us = self._estimate.time_us

@@ -60,6 +60,8 @@ class Evidence:
         Channels with a measured-limit alarm that is there still.
     assumed_ambient_c : float or None
         What is taken for the ambient temperature where no channel measures it.
+    doubts : tuple of str
+        What of the operation may be in another unit.
     called : tuple of NotSafeCall
         Steps that were called *not safe* before, see `called_steps`.
     """
@@ -72,6 +74,7 @@ class Evidence:
     outlook: Outlook | None
     returning: frozenset[str] = frozenset()
     assumed_ambient_c: float | None = None
+    doubts: tuple[str, ...] = ()
     called: tuple[NotSafeCall, ...] = ()
 
 
@@ -356,8 +359,8 @@ def _why(name: str, evidence: Evidence) -> str:
 
 def _assumption(evidence: Evidence) -> tuple[str, ...]:
     if evidence.assumed_ambient_c is None:
-        return ()
-    return (f"ambient assumed {evidence.assumed_ambient_c:.0f} °C",)
+        return evidence.doubts
+    return (f"ambient assumed {evidence.assumed_ambient_c:.0f} °C", *evidence.doubts)
 
 
 def _seconds_left(at_s: float | None, elapsed_s: float) -> float | None:

@@ -9,11 +9,13 @@ import numpy as np
 
 from service.documents.models import IdentifiabilityDocument, Interval, ParameterDocument
 from service.domain.errors import BearingTwinError
+from service.jobs.unit_gate import UNITS, unless_in_another_unit
 from service.offline.error_hint import hint
 from service.offline.model_file import IdentifiedModel, RunIn
 from service.offline.rows import contiguous, revolutions_at, rows_of_recording, step_of
 from service.offline.searches import OTHER_SEARCHES
 from service.offline.tables import Recording
+from service.offline.unit_doubts import doubts_of_recording
 from service.site.machines.machine import Machine
 from twin_core.identification import (
     FitSettings,
@@ -70,6 +72,7 @@ class Identified:
     - ``gates``: what would be asked of it before it may forecast in the service, with the prior's
       parameters in place of an active model: fit, ranges, residuals, predictions of what a fit had
       not seen.
+    - ``doubts``: what of the recording may be in another unit.
     - ``sisters``: what became of the sisters; None without any.
     """
 
@@ -82,12 +85,14 @@ class Identified:
     windows: int
     rows: int
     gates: GateReport
+    doubts: tuple[str, ...] = ()
     sisters: SisterVerdict | None = None
 
     @property
     def warnings(self) -> list[str]:
         """What to look at before the model is relied upon, one line each."""
-        found = [
+        found = list(self.doubts)
+        found += [
             f"{name} = {row.value:.4g} {row.unit} is on its {row.at_bound} bound: the "
             "bound gives this value, the data would have it further out; unless the bound is a "
             "physical one, widen it or change the network"
@@ -101,7 +106,9 @@ class Identified:
             if not self.sisters.accepted:
                 found.append(f"sisters not used: {self.sisters.reason}")
         found += [
-            f"gate not passed: {check.detail}" for check in self.gates.checks if not check.passed
+            f"gate not passed: {check.detail}"
+            for check in self.gates.checks
+            if not check.passed and check.name != UNITS  # said first
         ]
         for test, by_kind in self.gates.naive.items():
             own = self.gates.scores[test]["nested_rms_k"]
@@ -225,8 +232,8 @@ def identify_recording(
 ) -> Identified:
     """Identify a model from all rows of a recording.
 
-    Raises `UnusableDataError` if the data hold too little, or contradict ``at_rest``;
-    `FailedFitError` if the model does not follow the data.
+    Raises `UnusableDataError` if the data hold too little, or contradict ``at_rest``; `TableError`
+    if they are in another unit; `FailedFitError` if the model does not follow the data.
 
     - ``recording``: low-risk data.
     - ``at_rest``: the machine stood at ambient at the first row. Then a window after a gap that
@@ -235,6 +242,7 @@ def identify_recording(
     - ``sisters_of``: gives the machine's sisters, by its own rows; none by default.
     - ``progress``: called at every sweep and iteration.
     """
+    doubts = doubts_of_recording(recording, machine)
     model = machine.build()
     minutes = rows_of_recording(recording, step_of(recording, machine, model))
     data = data_set(recording, minutes, at_rest)
@@ -281,6 +289,7 @@ def identify_recording(
         loss=procedure.loss,
         prior=None if learned is None else learned.prior,
     )
+    report = unless_in_another_unit(report, machine.bearing, data)
     rms_by_sensor = dict(result.posterior.train_rms_k)
     return Identified(
         model=IdentifiedModel(
@@ -300,6 +309,7 @@ def identify_recording(
         windows=len(data.windows),
         rows=sum(window.minutes.size for window in data.windows),
         gates=report,
+        doubts=tuple(doubts),
         sisters=None if learned is None else learned.verdict,
     )
 

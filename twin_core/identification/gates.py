@@ -6,7 +6,7 @@ the most demanding part, and the latest part, at least as well as the active mod
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -71,6 +71,16 @@ class GateReport:
     scores: Mapping[str, Any]
     #: Rms in K of the naive forecasts in the same tests, by test, kind and sensor.
     naive: Mapping[str, Any]
+
+    def refused_by(self, check: GateCheck) -> "GateReport":
+        """Give the verdict with a further check, which has failed."""
+        failed = [one for one in self.checks if not one.passed]
+        return replace(
+            self,
+            accepted=False,
+            reason="; ".join(one.detail for one in (check, *failed)),
+            checks=(*self.checks, check),
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain JSON types."""

@@ -92,13 +92,14 @@ def check(file: Path, text: str, stored: Mapping[str, "TomlTable"]) -> CheckDocu
 
     Assets in the store are checked too: `stored` has their tables by id.
     """
-    from service.ingest.probing import probe
+    from service.ingest.probing import probe, unit_doubts
     from service.site.examination import examine
 
     found = examine(file, text)
     probed = asyncio.run(probe(found.wiring))
     errors = [*found.errors, *probed.problems, *_misfits(found.settings, stored)]
-    return CheckDocument.of(file.name, _short(file, errors), _short(file, found.warnings), probed)
+    warnings = _short(file, [*found.warnings, *unit_doubts(found.settings, probed)])
+    return CheckDocument.of(file.name, _short(file, errors), warnings, probed)
 
 
 def problems(

@@ -181,7 +181,7 @@ def test_the_senders_of_a_group_are_named(
     try:
         status, document, errors = check(
             a='message = "LoadCell", signal = "RadialLoad" -> '
-            'message = "EngineTemperature", signal = "Oil"'
+            'message = "EngineTemperature", signal = "Oil", unit = "N"'
         )
     finally:
         ended.set()
@@ -198,7 +198,8 @@ def test_the_senders_of_a_group_are_named(
 @pytest.mark.usefixtures("plant")
 def test_a_message_that_never_comes_is_named_within_the_limit(check: Callable[..., Any]) -> None:
     status, document, errors = check(
-        a='message = "LoadCell", signal = "RadialLoad" -> message = "Pages", signal = "Warm"'
+        a='message = "LoadCell", signal = "RadialLoad" -> '
+        'message = "Pages", signal = "Warm", unit = "N"'
     )
     assert status == 2
     assert len(errors.splitlines()) == 1, errors

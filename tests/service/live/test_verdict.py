@@ -129,6 +129,13 @@ def test_a_machine_without_an_ambient_channel_says_what_is_assumed(evidence: Evi
         assert "ambient assumed 22 °C" in one.reasons
 
 
+def test_a_doubt_about_a_unit_stands_beside_the_verdict(evidence: Evidence) -> None:
+    doubt = "load below 45 N at this speed: kN?"
+    for one in judge(replace(evidence, doubts=(doubt,))).by_name.values():
+        assert one.word == "safe"
+        assert doubt in one.reasons
+
+
 def test_without_a_measured_temperature_nothing_is_safe(evidence: Evidence) -> None:
     settings = asset_section(["speed_rpm", "load_n"])
     readings = Readings("bench-1", {"speed_rpm": 10.0, "load_n": 10.0}, NOW_US)
