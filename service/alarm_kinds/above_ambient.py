@@ -35,16 +35,14 @@ def _conditions(context: AlarmContext, rule: AboveAmbientRule) -> Iterator[Alarm
 
 
 def _between(context: AlarmContext, channel: str) -> list[Seen]:
-    """What the difference was at each sample of a temperature since the last look."""
-    ambient = list(context.between.get(AMBIENT, ()))
-    if ambient and context.good_value(AMBIENT) is None:
-        ambient[-1] = ambient[-1][0], None
+    """What the difference was at each sample of the two since the last look; each holds."""
+    seen, before = context.between.seen, context.between.before
+    present = {name: before.get(name) for name in (channel, AMBIENT)}
+    changes = [(at_us, name, value) for name in present for at_us, value in seen.get(name, ())]
     differences: list[Seen] = []
-    ambient_c: float | None = None
-    for at_us, value_c in context.between.get(channel, ()):
-        while ambient and ambient[0][0] <= at_us:
-            ambient_c = ambient.pop(0)[1]
-        differences.append((at_us, _above(value_c, ambient_c)))
+    for at_us, name, value in sorted(changes, key=lambda change: change[0]):
+        present[name] = value
+        differences.append((at_us, _above(present[channel], present[AMBIENT])))
     return differences
 
 

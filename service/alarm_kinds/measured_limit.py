@@ -27,7 +27,7 @@ def _conditions(context: AlarmContext, rule: MeasuredLimitRule) -> Iterator[Alar
             "over {level} {limit:g} °C",
             deadband=rule.deadband_k,
             unit="°C",
-            between=context.between.get(channel, ()),
+            between=context.between.seen.get(channel, ()),
         )
 
 

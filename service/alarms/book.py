@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from adapters.protocol import Clock
 from service.alarms.changes import SERVICE, AlarmChanges, NotAllowedError
+from service.alarms.following import follow
 from service.alarms.records import (
     AlarmKey,
     as_it_is,
@@ -19,10 +20,10 @@ from service.alarms.records import (
     urgency,
 )
 from service.alarms.register import Register, Watched
-from service.alarms.states import ACTIVE_STATES, SET_ASIDE_STATES, AlarmEvent, AlarmState
-from service.alarms.timers import Timer
+from service.alarms.states import SET_ASIDE_STATES, AlarmEvent, AlarmState
 from service.clock import MICROSECONDS
 from service.domain.alarm_condition import AlarmCondition, EventKind
+from service.domain.alarm_guidance import AlarmName
 from service.domain.alarm_kind import SENSOR_FAULT
 from service.domain.causes import STALE_DATA
 from service.store import Alarm, AlarmChange, AuditEntry, Outbox
@@ -97,17 +98,8 @@ class AlarmBook:
                     watched.figures = condition
 
     def _judge(self, watched: Watched, condition: AlarmCondition, now_us: int) -> None:
-        joined, has_come = watched.join(condition), False
-        for at_us, before in condition.since_last_look(watched.judged_from_us):
-            was_present = watched.alarm.present
-            self._hold(watched, before, at_us, now_us)
-            # What was acknowledged returns, so that the next time calls again; what is open goes on
-            # until it is gone at a look.
-            may_return = not has_come and watched.alarm.state == AlarmState.ACKED
-            self._follow(watched, before, at_us, now_us, may_return=may_return)
-            has_come |= watched.alarm.present and not was_present
-        # What has come since the last look is shown until the next one.
-        alarm = self._follow(watched, condition, now_us, now_us, may_return=not has_come)
+        joined = watched.join(condition)
+        alarm = follow(self._changes, watched, condition, now_us)
         alarm = self._changes.suppress(alarm, condition, now_us)
         holds = condition.active if not alarm.present or not condition.in_deadband else None
         standing_s = (now_us - alarm.since_us) / MICROSECONDS
@@ -115,56 +107,6 @@ class AlarmBook:
         if alarm.state == AlarmState.ACKED and (is_due or joined):
             comment = f"also: {shortened(sorted(joined))}" if joined else ""
             self._changes.move(alarm, AlarmEvent.RE_ALARM, now_us, SERVICE, comment)
-
-    def _follow(
-        self,
-        watched: Watched,
-        condition: AlarmCondition,
-        at_us: int,
-        now_us: int,
-        *,
-        may_return: bool,
-    ) -> Alarm:
-        """Let an alarm follow its condition as it was at a time, now or since the last look."""
-        alarm, holds = watched.alarm, condition.active
-        if alarm.present and holds is False and condition.in_deadband:
-            holds = None
-        if alarm.state in ACTIVE_STATES and condition.probability is not None:
-            # Its text says how probable it is.
-            alarm = self._changes.renew(watched, condition, at_us)
-        if holds is None:
-            if watched.timer is not None:
-                watched.timer.pause()
-        elif holds == alarm.present:
-            watched.timer = None
-            alarm = self._changes.renew(watched, condition, at_us)
-        else:
-            watched.timer = timer = watched.timer or Timer()
-            passed_s = timer.run(at_us) if at_us == now_us else timer.run_to(at_us)
-            if holds:
-                timer.note(condition.value, at_us)
-            if passed_s >= (condition.on_delay_s if holds else condition.off_delay_s) and (
-                holds or may_return
-            ):
-                watched.timer = None
-                alarm = self._changes.turn(watched, condition, holds, now_us, timer.highest)
-        return alarm
-
-    def _hold(self, watched: Watched, condition: AlarmCondition, at_us: int, now_us: int) -> None:
-        """Count until a new value, as one holds until the next: its delay may be over by then."""
-        timer, alarm = watched.timer, watched.alarm
-        if timer is None or timer.is_paused:
-            return
-        passed_s = timer.run_to(at_us)
-        if alarm.present:
-            is_over = alarm.state == AlarmState.ACKED and condition.active
-            if is_over and passed_s >= condition.off_delay_s:
-                watched.timer = None
-                self._changes.turn(watched, condition, False, now_us, None)
-        elif condition.active is False and timer.highest and passed_s >= condition.on_delay_s:
-            watched.timer = None
-            highest = replace(condition, active=True, value=timer.highest[0])
-            self._changes.turn(watched, highest, True, now_us, timer.highest)
 
     def withdraw(self, asset: str, known: Collection[AlarmKey]) -> None:
         """End the alarms of an asset whose conditions are not among those that are known.
@@ -181,6 +123,11 @@ class AlarmBook:
         """Let the delays of an asset stand still: its conditions were not judged for a while."""
         with self._lock:
             self._register.pause_timers(asset)
+
+    def drop_delays(self, asset: str, names: Collection[AlarmName]) -> None:
+        """Begin delays of an asset anew: of alarms that are judged otherwise from now on."""
+        with self._lock:
+            self._register.drop_timers(asset, names)
 
     def shared(self) -> dict[AlarmKey, Alarm]:
         """Give the open alarms of causes that assets share."""

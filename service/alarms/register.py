@@ -17,6 +17,7 @@ from service.alarms.records import (
 from service.alarms.states import SET_ASIDE_STATES, AlarmState
 from service.alarms.timers import Timer
 from service.domain.alarm_condition import AlarmCondition
+from service.domain.alarm_guidance import AlarmName
 from service.domain.errors import BearingTwinError
 from service.store import Alarm
 
@@ -236,6 +237,13 @@ class Register:
         for watched in self._watched.get(asset, {}).values():
             if watched.timer is not None:
                 watched.timer.pause()
+
+    def drop_timers(self, asset: str, names: Collection[AlarmName]) -> None:
+        """Begin delays anew, by kind, channel and level."""
+        known = self._watched.get(asset, {})
+        for name in names:
+            if (watched := known.get((asset, *name))) is not None:
+                watched.timer = None
 
     def keep(self, alarm: Alarm) -> None:
         """Take in an alarm that stays in its state."""

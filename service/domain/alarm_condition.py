@@ -1,6 +1,6 @@
 """The present state of one alarm condition, as alarm kinds report it."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby
 from typing import Literal
@@ -24,6 +24,18 @@ EventKind = Literal[
 Priority = Literal[1, 2, 3]
 Seen = tuple[int, float | None]
 """When a value was, and the value; None where none was good."""
+
+
+@dataclass(frozen=True, slots=True)
+class SinceLastLook:
+    """What channels were since the last look of the alarms.
+
+    - ``seen``: by channel, in order, without those that sent nothing.
+    - ``before``: by channel, what it was at the last look; None where that is not known.
+    """
+
+    seen: Mapping[str, Sequence[Seen]] = field(default_factory=dict)
+    before: Mapping[str, float | None] = field(default_factory=dict)
 
 
 _GONE, _IN_DEADBAND, _OVER = range(3)

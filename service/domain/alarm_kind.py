@@ -11,7 +11,7 @@ from typing import Generic, Literal, Protocol, Self, TypeVar, cast
 from pydantic import Field, model_validator
 
 from adapters.samples import Sample
-from service.domain.alarm_condition import AlarmCondition, Priority, Seen
+from service.domain.alarm_condition import AlarmCondition, Priority, Seen, SinceLastLook
 from service.domain.alarm_guidance import (
     AlarmName,
     AlarmOverride,
@@ -177,7 +177,7 @@ class AlarmContext:
     - ``record``: how earlier forecasts have done, for the text of a predicted alarm.
     - ``identified``: whether the model was identified; else its forecasts raise no alarm.
     - ``overrides``: what single alarms have otherwise than their kind says.
-    - ``between``: what temperatures were since the last look, by channel.
+    - ``between``: what temperatures and ambient were since the last look.
     """
 
     asset: str
@@ -199,7 +199,7 @@ class AlarmContext:
     record: ForecastRecord = no_record
     identified: bool = True
     overrides: Mapping[AlarmName, AlarmOverride] = field(default_factory=dict)
-    between: Mapping[str, Sequence[Seen]] = field(default_factory=dict)
+    between: SinceLastLook = field(default_factory=SinceLastLook)
     _values: dict[str, float | None] = field(default_factory=dict, init=False)
     _no_data: dict[str, str | None] = field(default_factory=dict, init=False)
     _unknown: tuple[str | None] | None = field(default=None, init=False)

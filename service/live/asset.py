@@ -194,7 +194,9 @@ class AssetRuntime:
         """
         limits_changed = settings.limits != self.settings.limits
         self.settings = settings
-        self._watch.change(settings, overrides, self._clock.now_us())
+        with self._watching():
+            self._watch.look(self._clock.now_us())
+        self._watch.change(settings, overrides)
         self._judgement.change(settings)
         self.documents.settings_changed(settings)
         self._publishing.verdict_due = True

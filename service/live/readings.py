@@ -2,13 +2,13 @@
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from statistics import median
 
 from adapters.samples import Quality, Sample, is_bad, is_good, meaning
 from service.clock import is_since_set
-from service.domain.alarm_condition import Seen
+from service.domain.alarm_condition import Seen, SinceLastLook
 from service.domain.channels import AMBIENT
 
 # Samples received so much before the latest one were received before the clock was set back.
@@ -22,8 +22,8 @@ _WINDOWS, _FEWEST_WINDOWS, _WINDOW_US = 31, 5, 1_000_000
 # No value is stale sooner: at rate 1, and with a clock that runs faster than the wall's, where a
 # pause of the processor is that much longer.
 _TIGHTEST_WALL_S, _TIGHTEST_FASTER_WALL_S = 1.5, 5.0
-# Of so many values of a temperature between two looks of the alarms those that matter least go.
-_MOST_BETWEEN = 1024
+# Values of a channel between two looks of the alarms; of more the first go, but for their highest.
+_MOST_BETWEEN = 6000
 
 
 def allowed_age_s(max_age_s: float, rate: float) -> float:
@@ -116,6 +116,8 @@ class Readings:
     _paces: dict[str, _Pace] = field(default_factory=dict)
     _means: dict[str, _Mean] = field(default_factory=dict)
     _between: dict[str, list[Seen]] = field(default_factory=dict)
+    _before: dict[str, float | None] = field(default_factory=dict)
+    _taken_us: int = 0
 
     def __post_init__(self) -> None:
         self._between = {
@@ -164,16 +166,18 @@ class Readings:
     def clock_set(self, by_us: int, now_us: int) -> None:
         """Let values be as old as before: the clock was set by so much, and it is ``now_us``."""
         self.began_us += by_us
+        self._taken_us += by_us
         for channel, sample in self.latest.items():
             if not is_since_set(sample.received_us, now_us, self.rate):
                 self.latest[channel] = sample._replace(
                     time_us=sample.time_us + by_us, received_us=sample.received_us + by_us
                 )
-        for channel, seen in self._between.items():
-            self._between[channel] = [
-                (at_us if is_since_set(at_us, now_us, self.rate) else at_us + by_us, value)
-                for at_us, value in seen
-            ]
+        for seen in self._between.values():
+            # Those at the end may be of a sender that followed the clock before us.
+            before = len(seen)
+            while before and is_since_set(seen[before - 1][0], now_us, self.rate):
+                before -= 1
+            seen[:before] = [(at_us + by_us, value) for at_us, value in seen[:before]]
         for pace in self._paces.values():
             pace.clock_set(by_us)
 
@@ -183,14 +187,20 @@ class Readings:
         self._means.clear()
         return means
 
-    def take_between(self) -> dict[str, list[Seen]]:
-        """What each temperature was since the last call, where there was a sample of it.
-
-        That of ambient begins with the last one of before: it holds until the next.
-        """
-        taken = {channel: seen for channel, seen in self._between.items() if seen}
-        for channel, seen in taken.items():
-            self._between[channel] = seen[-1:] if channel == AMBIENT else []
+    def take_between(self, now_us: int) -> SinceLastLook:
+        """What temperatures and ambient were since the last call."""
+        for channel, seen in self._between.items():
+            sample = self.latest.get(channel)
+            if sample is not None and self.is_stale(channel, now_us):
+                old_us = self._stale_from_us(sample)
+                if old_us >= self._taken_us:
+                    seen.append((old_us, None))
+        self._taken_us = now_us
+        seen_now = {channel: seen for channel, seen in self._between.items() if seen}
+        taken = SinceLastLook(seen_now, dict(self._before))
+        for channel, seen in seen_now.items():
+            self._before[channel] = seen[-1][1]
+            self._between[channel] = []
         return taken
 
     def _note(self, sample: Sample, known: Sample | None, value: float | None) -> None:
@@ -198,13 +208,16 @@ class Readings:
         seen = self._between[sample.channel]
         at_us = min(sample.time_us, sample.received_us)
         if known is not None:
-            old_us = min(known.time_us, known.received_us)
-            old_us += round(self.age_limit_s(sample.channel) * 1e6)
+            old_us = self._stale_from_us(known)
             if old_us < at_us:
                 seen.append((old_us, None))
         seen.append((at_us, value))
         if len(seen) >= _MOST_BETWEEN:
-            self._between[sample.channel] = list(_extremes(seen))
+            seen[: _MOST_BETWEEN // 2] = _highest(seen[: _MOST_BETWEEN // 2])
+
+    def _stale_from_us(self, sample: Sample) -> int:
+        limit_us = round(self.age_limit_s(sample.channel) * 1e6)
+        return min(sample.time_us, sample.received_us) + limit_us
 
     def age_limit_s(self, channel: str) -> float:
         """Process seconds after which the channel is stale, as far as known now."""
@@ -314,14 +327,7 @@ class Readings:
         return abs(now_us - min(sample.time_us, sample.received_us)) / 1e6
 
 
-def _extremes(seen: Sequence[Seen]) -> Iterator[Seen]:
-    """Give of each eight values the ends, the lowest, and the highest with what followed it."""
-    for begin in range(0, len(seen), 8):
-        some = seen[begin : begin + 8]
-        values = [math.nan if value is None else value for _, value in some]
-        known = [place for place, value in enumerate(values) if not math.isnan(value)]
-        kept = {0, len(some) - 1}
-        if known:
-            highest = max(known, key=values.__getitem__)
-            kept |= {highest, highest + 1, min(known, key=values.__getitem__)}
-        yield from (one for place, one in enumerate(some) if place in kept)
+def _highest(seen: Sequence[Seen]) -> list[Seen]:
+    """Give the highest value for a moment: that none was higher is all that is known then."""
+    at_us, value = max(seen, key=lambda one: -math.inf if one[1] is None else one[1])
+    return [(at_us, value), (at_us, None)]

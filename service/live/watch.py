@@ -3,10 +3,10 @@
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from service.alarm_kinds import KINDS, rate_of_rise, twin_residual
+from service.alarm_kinds import KINDS, measured_limit, rate_of_rise, twin_residual
 from service.alarms import AlarmBook, AlarmCondition, SharedCauses
 from service.domain.alarm_guidance import AlarmName, AlarmOverride
-from service.domain.alarm_kind import AlarmContext, ForecastRecord, no_record
+from service.domain.alarm_kind import LEVELS, AlarmContext, ForecastRecord, no_record
 from service.domain.channels import SPEED
 from service.live.estimate import LiveEstimate
 from service.live.kept import KeptWatch
@@ -73,14 +73,20 @@ class AlarmWatch:
         self._overrides: Mapping[AlarmName, AlarmOverride] = {}
         self._standing_since_us: int | None = None
         self._trusted = True
+        self._looked = False
         self._withdrawn = False
 
-    def change(
-        self, settings: AssetSection, overrides: Mapping[AlarmName, AlarmOverride], now_us: int
-    ) -> None:
+    def look(self, now_us: int) -> None:
+        """Judge what was measured since the last step, where there was one."""
+        if self._looked:
+            context = self._context(now_us)
+            context.between = self._readings.take_between(now_us)
+            self._evaluate(context, "step")
+
+    def change(self, settings: AssetSection, overrides: Mapping[AlarmName, AlarmOverride]) -> None:
         """Judge by other limits and settings of alarms; what is disabled ends with the next step.
 
-        What was measured until now is judged by those of before.
+        What was measured until now is judged by those of before, see `look`.
 
         Parameters
         ----------
@@ -88,12 +94,18 @@ class AlarmWatch:
             The asset, with its limits.
         overrides : mapping of AlarmName to AlarmOverride
             What single alarms have otherwise than their kind says.
-        now_us : int
-            Process time.
         """
-        context = self._context(now_us)
-        context.between = self._readings.take_between()
-        self._evaluate(context, "step")
+        before, limits = self._overrides, self._settings.limits
+        changed = {
+            name for name in {*before, *overrides} if before.get(name) != overrides.get(name)
+        }
+        changed |= {
+            (measured_limit.KIND.name, channel, level)
+            for channel in {*limits, *settings.limits}
+            if limits.get(channel) != settings.limits.get(channel)
+            for level in LEVELS
+        }
+        self._book.drop_delays(settings.id, changed)
         self._settings = settings
         self._overrides = overrides
         self._withdrawn = False
@@ -119,9 +131,10 @@ class AlarmWatch:
         self._comparison.step(turns=self._standing_since_us is None)
         self._sources.look(now_us)
         context = self._context(now_us)
-        context.between = self._readings.take_between()
-        if not self._withdrawn:
+        context.between = self._readings.take_between(now_us)
+        if not self._looked:
             self._book.pause_delays(self._settings.id)
+        self._looked = True
         conditions = self._evaluate(context, "step")
         if not self._withdrawn:
             self._withdraw(context, {condition.key for condition in conditions})

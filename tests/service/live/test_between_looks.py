@@ -51,9 +51,11 @@ class Watched:
         estimate = LiveEstimate(ACTIVE_MODEL)
         self.watch = AlarmWatch(self.section, self.channels, self.readings, estimate, self.book)
 
-    def change(self, **override: Any) -> None:
-        name = ("measured limit", RING, "alarm")
-        self.watch.change(self.section, {name: AlarmOverride(**override)}, self.clock.now_us())
+    def change(
+        self, name: tuple[str, str, str] = ("measured limit", RING, "alarm"), **override: Any
+    ) -> None:
+        self.watch.look(self.clock.now_us())
+        self.watch.change(self.section, {name: AlarmOverride(**override)})
 
     def close(self) -> None:
         self.outbox.close()
@@ -203,7 +205,7 @@ def test_a_thousand_values_a_second_lose_no_highest_one(
         ring.read(value)
     ring.look()
     assert ring.alarm().peak_value == 99.0
-    assert sum(map(len, ring.readings.take_between().values())) == 0
+    assert ring.readings.take_between(ring.clock.us).seen == {}
 
 
 def test_a_clock_that_is_set_between_two_looks_changes_no_delay(
@@ -352,7 +354,7 @@ def test_a_changed_limit_counts_from_the_change_on(watched: Callable[..., Watche
 def test_a_bad_sample_raises_nothing_and_no_time_counts_twice(
     watched: Callable[..., Watched],
 ) -> None:
-    ring = watched(3.0)
+    ring = watched(3.5)
     assert ring.follow([60.0, 90.0, 90.0, 90.0, BAD, 60.0, 60.0], 4.5) == []
     ring = watched(6.0)
     ring.follow([90.0, BAD], 4.5)
@@ -414,3 +416,117 @@ def test_a_stay_over_the_limit_counts_to_its_last_sample(watched: Callable[..., 
     ring.clock.advance(3.0)
     ring.look()
     assert ring.alarm().state == "UNACK"
+
+
+def test_a_delay_that_is_over_when_the_value_is_lost_was_over(
+    watched: Callable[..., Watched],
+) -> None:
+    ring = watched(3.3)
+    assert ring.follow([60.0, 90.0, 90.0, 90.0, 90.0, BAD, BAD], 5.5) == [(5.5, "UNACK")]
+    ring = watched(9.3)
+    ring.read(90.0)
+    for look_s in (3.4, 5.0, 5.0):  # at the last look it is older than ten seconds
+        ring.clock.advance(look_s)
+        ring.look()
+    assert (ring.alarm().state, ring.alarm().peak_value) == ("UNACK", 90.0)
+
+
+@pytest.mark.parametrize("lost", [BAD, 84.5])
+def test_what_was_acknowledged_returns_also_before_a_value_that_is_lost(
+    watched: Callable[..., Watched], lost: float
+) -> None:
+    ring = watched(0.0, 3.0)
+    ring.follow([97.0], 0.0)
+    ring.book.acknowledge(ring.alarm().id, "eva")
+    changes = ring.follow([60.0, 60.0, 60.0, 60.0, lost, 99.0, 60.0], 6.5)
+    assert [state for _, state in changes] == ["NORM", "UNACK"]
+
+
+def test_one_look_returns_no_alarm_that_it_raised(watched: Callable[..., Watched]) -> None:
+    ring = watched(0.0, 3.0)
+    ring.follow([97.0], 0.0)
+    ring.book.acknowledge(ring.alarm().id, "eva")
+    changes = ring.follow([60.0, 60.0, 60.0, 60.0, 97.0, 60.0, 60.0, 60.0, 60.0, 60.0], 9.5)
+    assert [state for _, state in changes] == ["NORM", "UNACK"]
+
+
+def test_an_excess_that_was_acknowledged_while_it_stood_calls_once(
+    watched: Callable[..., Watched],
+) -> None:
+    ring = watched()
+    ring.follow([97.0, 60.0], 1.5)
+    ring.clock.advance(0.5)
+    ring.read(92.0)
+    ring.clock.advance(1.0)
+    ring.book.acknowledge(ring.alarm().id, "eva")
+    ring.clock.advance(1.0)
+    ring.read(92.0)
+    ring.clock.advance(2.0)
+    ring.look()
+    assert ring.alarm().state == "ACKED"
+
+
+def test_a_change_before_the_first_look_judges_nothing(watched: Callable[..., Watched]) -> None:
+    ring = watched()
+    ring.read(90.0)
+    ring.change(enabled=False)
+    assert [*ring.book.normal(), *ring.book.active()] == []
+
+
+def test_a_change_begins_no_other_delay_anew(watched: Callable[..., Watched]) -> None:
+    ring = watched(10.0)
+    for _ in range(2):
+        ring.follow([90.0] * 4, 3.5)
+        ring.change(name=("measured limit", RING, "warning"), priority=3)
+    changes = ring.follow([90.0] * 4, 3.5)
+    assert [state for _, state in changes] == ["UNACK"]
+
+
+@pytest.mark.parametrize("ambient_c", [30.0, BAD])
+def test_an_excess_over_ambient_ends_with_ambient(
+    watched: Callable[..., Watched], ambient_c: float
+) -> None:
+    rule = {"limits": {RING: {"warning": 44, "alarm": 45}}, "on_delay_s": 3.0}
+    ring = watched(above_ambient=rule)
+    ring.read(20.0, AMBIENT)
+    ring.read(70.0)
+    ring.clock.advance(0.5)
+    ring.look()
+    ring.clock.advance(0.5)
+    ring.read(ambient_c, AMBIENT)
+    ring.clock.advance(3.9)
+    ring.read(70.0)
+    ring.clock.advance(0.6)
+    ring.look()
+    assert [one for one in ring.book.active() if one.level == "alarm"] == []
+
+
+def test_an_excess_over_ambient_may_come_of_ambient_alone(
+    watched: Callable[..., Watched],
+) -> None:
+    rule = {"limits": {RING: {"warning": 44, "alarm": 45}}, "on_delay_s": 0.0}
+    ring = watched(above_ambient=rule)
+    for at_s, channel, value in ((0, AMBIENT, 30.0), (0, RING, 70.0), (1, AMBIENT, 20.0)):
+        ring.clock.us = START_US + at_s * 1_000_000
+        ring.read(value, channel)
+    ring.clock.advance(2.0)
+    ring.read(30.0, AMBIENT)
+    ring.clock.advance(2.0)
+    ring.look()
+    assert ring.alarm("above ambient").peak_value == 50.0
+
+
+def test_a_clock_that_is_set_back_a_little_stretches_nothing(
+    watched: Callable[..., Watched],
+) -> None:
+    ring = watched(3.0)
+    for number in range(46):
+        ring.read(97.0 if number == 0 else 60.0)
+        ring.clock.us += 100_000
+    by_us = -4_000_000
+    ring.clock.us += by_us
+    ring.readings.clock_set(by_us, ring.clock.us)
+    ring.watch.clock_set(by_us)
+    ring.book.clock_set(by_us)
+    ring.look()
+    assert [one for one in ring.book.active() if one.level == "alarm"] == []

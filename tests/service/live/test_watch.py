@@ -70,7 +70,8 @@ class Machine:
             self.watch.step(now_us, means, trusted)
 
     def change(self, settings: AssetSection, overrides: Mapping[AlarmName, AlarmOverride]) -> None:
-        self.watch.change(settings, overrides, self.clock.now_us())
+        self.watch.look(self.clock.now_us())
+        self.watch.change(settings, overrides)
 
     def states(self) -> dict[tuple[str, str], str]:
         return {
