@@ -1,6 +1,7 @@
 """Clean ends: SIGTERM and SIGINT set an event, the command then ends with status 0."""
 
 import asyncio
+import logging
 import os
 import signal
 import sys
@@ -39,6 +40,7 @@ async def leave_tasks_behind() -> None:
         if left:
             _log.warning("tasks_left_behind", tasks=sorted(task.get_name() for task in left))
             sys.stdout.flush()
+            logging.shutdown()
             os._exit(0)
 
 
@@ -55,4 +57,5 @@ def leave_threads_behind() -> None:
             if thread.is_alive():
                 _log.warning("thread_left_behind", thread=thread.name)
                 sys.stdout.flush()
+                logging.shutdown()
                 os._exit(0)

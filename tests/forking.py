@@ -14,7 +14,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 _PARENT = """
-import importlib, json, os, sys, traceback
+import importlib, json, logging, os, sys, traceback
 from service.cli import main
 for name in ("service.app.serve", "service.app.checking", "service.store", "rich.table"):
     importlib.import_module(name)
@@ -38,6 +38,7 @@ def run(order):
         status = 1
     sys.stdout.flush()
     sys.stderr.flush()
+    logging.shutdown()
     os._exit(status)
 
 print(flush=True)

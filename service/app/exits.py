@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from typing import Final, NoReturn
 
 from service.domain.errors import ServiceError, TemporaryError
+from service.logs import say_last
 
 #: Something that a person must correct, and temporary trouble (EX_TEMPFAIL).
 STATUS_REFUSED: Final = 2
@@ -37,7 +38,5 @@ def refusals() -> Iterator[None]:
 
 def refuse(*messages: str, status: int = STATUS_REFUSED) -> NoReturn:
     """Write one line per message to standard error and exit."""
-    for message in messages:
-        sys.stderr.write(f"bearing-twin: {' '.join(message.split())}\n")
-    sys.stderr.flush()
+    say_last([f"bearing-twin: {' '.join(message.split())}" for message in messages])
     sys.exit(status)

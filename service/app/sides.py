@@ -7,6 +7,7 @@ A side is started by the supervisor (`service.app.supervisor`), or alone with
 import asyncio
 import contextlib
 import ctypes
+import logging
 import multiprocessing
 import os
 import signal
@@ -162,9 +163,12 @@ def side_process(
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     configure_logging()
     structlog.contextvars.bind_contextvars(process=side)
-    with refusals():
-        asyncio.run(_until_stopped(side, settings, listener))
-    leave_threads_behind()
+    try:
+        with refusals():
+            asyncio.run(_until_stopped(side, settings, listener))
+        leave_threads_behind()
+    finally:
+        logging.shutdown()  # a process that was forked has no end of the interpreter
 
 
 async def _until_stopped(

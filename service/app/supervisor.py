@@ -136,9 +136,9 @@ class Side:
             async with asyncio.timeout(limit_s):
                 await self._gone.wait()
         except TimeoutError:
-            _log.error("side_killed", side=self.name, reason=f"did not end within {limit_s:g} s")
             self.kill()
             await self._gone.wait()
+            _log.error("side_killed", side=self.name, reason=f"did not end within {limit_s:g} s")
 
     def change(self, settings: Settings) -> None:
         """Start the side again with another configuration; one that it refuses is given up."""
@@ -166,9 +166,9 @@ class Side:
             self._silence.excuse()
         if self._silence.is_hanging(look, now_s, self.silent_limit_s):
             silent_s = round(self._silence.lasts_s(now_s), 1)
-            _log.error("side_hangs", side=self.name, silent_s=silent_s)
             self.kill()
             self.listen_from_now()
+            _log.error("side_hangs", side=self.name, silent_s=silent_s)
 
     def listen_from_now(self) -> None:
         """Let its silence begin now: what it said before may not have been heard."""
