@@ -1,5 +1,6 @@
-"""Files that are written."""
+"""Text files of users that are read, and files that are written."""
 
+import codecs
 import contextlib
 import os
 import tempfile
@@ -11,6 +12,26 @@ from typing import IO, Any
 
 class FileError(ValueError):
     """A file that cannot be written; the text is one line for the user."""
+
+
+class EncodingError(ValueError):
+    """A text that is not in UTF-8; one line for the user."""
+
+
+def utf8_of(raw: bytes) -> str:
+    """Decode a text that a person wrote, with or without a byte order mark.
+
+    Raises `EncodingError` if it is in another encoding.
+    """
+    if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        raise EncodingError("in UTF-16; expected a file in UTF-8")
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = raw.count(b"\n", 0, error.start) + 1
+        raise EncodingError(
+            f"line {line}: byte 0x{raw[error.start]:02x} is not UTF-8; expected a file in UTF-8"
+        ) from error
 
 
 @contextmanager

@@ -10,7 +10,14 @@ from service.site.settings import Settings
 def environment_errors(settings: Settings) -> list[str]:
     """Say what the machine lacks that the configuration asks for, one line each."""
     # Imported here: most configurations need it not, and it loads much.
+    from service.store import StoreError
+    from service.store.opening import database_address
+
     errors: list[str] = []
+    try:
+        database_address(settings.service.database_url, settings.data_dir)
+    except StoreError as error:
+        errors.append(f"service.database_url: {error}")
     if settings.tls is not None:
         from service.security.tls import tls_context
 

@@ -1,5 +1,6 @@
 """Commands and how they end: 0 done, 1 failure, 2 something the user can mend, 75 try again."""
 
+import io
 import sys
 from typing import Annotated
 
@@ -83,6 +84,8 @@ def main() -> None:
     What a user can correct ends as `service.app.exits` says; options that do not fit end with
     status 2.
     """
+    if isinstance(sys.stdout, io.TextIOWrapper):  # a terminal may know fewer characters
+        sys.stdout.reconfigure(errors="replace")
     with refusals():
         try:
             status = app(standalone_mode=False)

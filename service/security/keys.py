@@ -27,6 +27,10 @@ class UnknownRoleError(BearingTwinError, ValueError):
     """There is no such role; the text names those there are."""
 
 
+class UnusableKeyError(BearingTwinError, ValueError):
+    """A key cannot be made so; the text names what was given and what was expected."""
+
+
 class UnknownKeyError(BearingTwinError, ValueError):
     """There is no key of this id or prefix, or more than one."""
 
@@ -76,16 +80,18 @@ def create_key(
     """Make a key, store its hash and write it into the audit trail.
 
     A running service sees it at once. Without ``expires_in_days`` it never expires. Raises
-    `UnknownRoleError` if there is no such role; `ValueError` if the days are not positive, or the
-    label is too long.
+    `UnknownRoleError` if there is no such role; `UnusableKeyError` if the days are not positive, or
+    the label is no line or too long.
     """
     known: Role | None = next((one for one in ROLES if one == role), None)
     if known is None:
         raise UnknownRoleError(f"role {role!r}: expected one of {', '.join(ROLES)}")
     if expires_in_days is not None and not 0 < expires_in_days <= 36_500:
-        raise ValueError(f"expiry of {expires_in_days:g} days: expected more than 0, at most 36500")
+        raise UnusableKeyError(
+            f"expiry of {expires_in_days:g} days: expected more than 0, at most 36500"
+        )
     if len(label) > LABEL_LENGTH or not re.match(LABEL_PATTERN, label):
-        raise ValueError(f"label: expected at most {LABEL_LENGTH} characters on one line")
+        raise UnusableKeyError(f"label: expected at most {LABEL_LENGTH} characters on one line")
     now_us = wall_us()
     expires_us = None
     if expires_in_days is not None:

@@ -11,6 +11,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from service.domain.errors import BearingTwinError
+from service.files import EncodingError, utf8_of
 
 EDGE_KINDS = (
     "constant",
@@ -106,10 +107,12 @@ def read_toml(file: Path, text: str | None = None) -> TomlTable:
     Raises `SettingsError` if it cannot be read.
     """
     try:
-        return tomllib.loads(file.read_text(encoding="utf-8") if text is None else text)
+        return tomllib.loads(utf8_of(file.read_bytes()) if text is None else text)
     except OSError as error:
         raise SettingsError(f"{file}: cannot be read ({error.strerror})") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except EncodingError as error:
+        raise SettingsError(f"{file}: {error}") from error
+    except tomllib.TOMLDecodeError as error:
         raise SettingsError(f"{file}: not valid TOML ({error})") from error
 
 

@@ -24,13 +24,13 @@ from pydantic_settings import (
     PydanticBaseSettingsSource,
     SettingsConfigDict,
 )
-from pydantic_settings import SettingsError as UnreadableVariableError
 
 from adapters.configuration import first_repeated
 from service.domain.section import Section
 from service.feature_folders import modules
 from service.site.asset_section import AssetSection
 from service.site.configuration import SettingsError, TomlTable, describe_all, read_toml
+from service.site.environment import PREFIX, by_variable, environment_errors
 from service.site.fleet_section import FleetSection
 from service.site.machines.bearings import BearingSection, with_designation
 from service.site.machines.networks import (
@@ -336,6 +336,8 @@ def load_settings(file: Path | None, text: str | None = None) -> Settings:
     if the file cannot be read or keys are wrong; one line for each, which names the file and the
     key.
     """
+    if wrong := environment_errors(Settings):
+        raise SettingsError(*wrong)
     document = {} if file is None else read_toml(file, text)
     base_dir = Path() if file is None else file.parent
     where = f"{file}: " if file else ""
@@ -343,9 +345,10 @@ def load_settings(file: Path | None, text: str | None = None) -> Settings:
     try:
         return Settings(**document, base_dir=base_dir, file=file)
     except ValidationError as error:
-        raise SettingsError(*(where + line for line in describe_all(error))) from error
-    except UnreadableVariableError as error:
-        raise SettingsError(f"environment: {error}; expected JSON text") from error
+        lines = by_variable(describe_all(error))
+        raise SettingsError(
+            *(line if line.startswith(PREFIX) else where + line for line in lines)
+        ) from error
     except TypeError as error:
         raise SettingsError(f"{where}{error}") from error
     finally:

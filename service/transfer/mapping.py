@@ -17,6 +17,7 @@ from adapters.units import factors_of, unit_in, units_for
 from adapters.words import shown
 from service.clock import from_rfc3339
 from service.domain.channels import NODES, OPERATING_CHANNELS, RING_SENSORS, unit_of
+from service.files import EncodingError, utf8_of
 from service.site.configuration import describe
 from service.transfer.errors import TransferError
 
@@ -105,11 +106,13 @@ def read_mapping(path: Path) -> Mapping:
     Raises `TransferError` if it cannot be read or a key is wrong; one line that names the key.
     """
     try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
+        document = tomllib.loads(utf8_of(path.read_bytes()))
         return Mapping(**document)
     except OSError as error:
         raise TransferError(f"{path}: cannot be read ({error.strerror})") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except EncodingError as error:
+        raise TransferError(f"{path}: {error}") from error
+    except tomllib.TOMLDecodeError as error:
         raise TransferError(f"{path}: not valid TOML ({error})") from error
     except ValidationError as error:
         raise TransferError(f"{path}: {describe(error)}") from error

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Final
 
 from service.domain.errors import BearingTwinError
-from service.files import make_private_folder, replacing
+from service.files import make_private_folder, replacing, utf8_of
 
 FOLDER: Final = "configurations"
 #: Older versions are removed.
@@ -56,7 +56,7 @@ def revision_of(text: str) -> str:
 def read_file(file: Path) -> str:
     """Read a configuration file; one that is not there yet is empty."""
     try:
-        return file.read_text(encoding="utf-8")
+        return utf8_of(file.read_bytes()).replace("\r\n", "\n")
     except FileNotFoundError:
         return ""
 

@@ -149,7 +149,7 @@ def test_a_missing_channel_is_a_warning(
 
 def test_a_variable_that_is_no_json_is_named(refused: Callable[..., str]) -> None:
     line = refused("serve", environment={"BEARING_TWIN__SOURCES": "[{"})
-    assert "sources" in line
+    assert "BEARING_TWIN__SOURCES: expected JSON text" in line
     assert "JSON" in line
 
 

@@ -1,0 +1,50 @@
+"""Where a command runs does not matter: terminals of few characters, and what check leaves out."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.wires
+CONFIGURATION = '[service]\ndatabase_url = "{url}"\n'
+
+
+def run(folder: Path, *arguments: str, **environment: str) -> "subprocess.CompletedProcess[bytes]":
+    return subprocess.run(
+        [sys.executable, "-m", "service", *arguments],
+        capture_output=True,
+        cwd=folder,
+        env=os.environ | environment,
+        check=False,
+        timeout=100,
+    )
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
+def test_a_terminal_of_few_characters_shows_what_it_can(tmp_path: Path, encoding: str) -> None:
+    made = run(tmp_path, "keys", "create", "--role", "viewer", "--label", "Pr\u00fcfstand \u2026")
+    assert made.returncode == 0, made.stderr
+    listed = run(tmp_path, "keys", "list", PYTHONIOENCODING=encoding)
+    assert (listed.returncode, listed.stderr) == (0, b"")
+    assert b"fstand ?" in listed.stdout
+
+
+@pytest.mark.parametrize("label", ["a\nb", "x" * 101, "\x1b[31m"])
+def test_a_label_that_is_no_line_is_refused_in_one(tmp_path: Path, label: str) -> None:
+    refused = run(tmp_path, "keys", "create", "--role", "viewer", "--label", label)
+    expected = b"bearing-twin: label: expected at most 100 characters on one line\n"
+    assert (refused.returncode, refused.stderr) == (2, expected)
+
+
+@pytest.mark.parametrize("url", ["mysql://root@db/x", "postgres"])
+def test_check_refuses_the_database_that_serve_refuses(tmp_path: Path, url: str) -> None:
+    (tmp_path / "site.toml").write_text(CONFIGURATION.format(url=url))
+    served = run(tmp_path, "serve", "-c", "site.toml")
+    checked = run(tmp_path, "check", "-c", "site.toml", "--json")
+    assert served.returncode == 2
+    assert checked.returncode == 2
+    errors = json.loads(checked.stdout)["errors"]
+    assert any("service.database_url" in line for line in errors), errors
