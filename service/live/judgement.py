@@ -25,6 +25,8 @@ from service.site.required_channels import required_channels
 FORECAST_MAX_AGE_S, FORECAST_MAX_AGE_WALL_S = 300.0, 30.0
 #: An estimate that was not carried forward for so long does not follow the machine.
 ESTIMATE_MAX_AGE_S, ESTIMATE_MAX_AGE_WALL_S = 60.0, 10.0
+#: Process seconds in which a doubt about a unit stays as it is.
+DOUBTED_FOR_S = 60.0
 
 
 class Judgement:
@@ -67,6 +69,8 @@ class Judgement:
         self._seen: dict[str, tuple[bool, int]] = {}
         self._missing: frozenset[str] = frozenset()
         self._called: tuple[NotSafeCall, ...] = ()
+        self._doubts: tuple[str, ...] = ()
+        self._doubted_us: int | None = None
 
     def change(self, settings: AssetSection) -> None:
         """Judge by other limits; the next samples are news."""
@@ -189,17 +193,22 @@ class Judgement:
                 if kind == "measured limit" and channel in self._settings.limits
             ),
             assumed_ambient_c=self.assumed_ambient_c,
-            doubts=self._doubts(now_us),
+            doubts=self._unit_doubts(now_us),
             called=self._called,
         )
 
-    def _doubts(self, now_us: int) -> tuple[str, ...]:
-        operation = {
-            name: self._readings.good_value(name, now_us)
-            for name in (SPEED, LOAD, AMBIENT)
-            if name in self._settings.channels
-        }
-        return tuple(one.words for one in doubts_of_values(self._settings.bearing, operation))
+    def _unit_doubts(self, now_us: int) -> tuple[str, ...]:
+        """What of the operation may be in another unit; words that come and go would be news."""
+        before_us = self._doubted_us
+        if before_us is None or not 0 <= now_us - before_us < DOUBTED_FOR_S * 1e6:
+            operation = {
+                name: self._readings.good_value(name, now_us)
+                for name in (SPEED, LOAD, AMBIENT)
+                if name in self._settings.channels
+            }
+            doubts = doubts_of_values(self._settings.bearing, operation)
+            self._doubts, self._doubted_us = tuple(one.words for one in doubts), now_us
+        return self._doubts
 
     def _follows(self, now_us: int) -> bool:
         time_us = self._estimate.time_us

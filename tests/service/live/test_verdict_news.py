@@ -91,3 +91,19 @@ async def test_a_machine_in_which_nothing_changes_costs_no_verdicts(
         await asyncio.sleep(0.02)
     assert looks > 50
     assert made - before < looks / 5
+
+
+async def test_a_load_that_may_be_in_kilonewtons_is_among_the_reasons(
+    make_live: Callable[..., Any],
+) -> None:
+    live = make_live(max_age_s=3600.0)
+    live.start()
+    await live.until(lambda: live.runtime.estimate.started, "a start", WARM)
+
+    def is_doubted() -> bool:
+        return "load below 45 N at this speed: kN?" in live.documents.verdict().now.reasons
+
+    assert not is_doubted()
+    await live.until(is_doubted, "a doubt", WARM | {"load_n": 2.65})
+    live.feed(WARM)
+    await live.until(lambda: not is_doubted(), "no doubt", WARM)
