@@ -17,12 +17,17 @@ _log = structlog.get_logger(__name__)
 
 
 def stop_on_signals(
-    signals: Iterable[signal.Signals] = (signal.SIGTERM, signal.SIGINT),
+    signals: Iterable[signal.Signals] = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP),
 ) -> asyncio.Event:
-    """Return an event that the signals set; to be called in the running loop."""
+    """Return an event that the signals set; to be called in the running loop.
+
+    Who was started to outlive its terminal (``nohup``) does.
+    """
     stop = asyncio.Event()
     loop = asyncio.get_running_loop()
     for number in signals:
+        if number == signal.SIGHUP and signal.getsignal(number) == signal.SIG_IGN:
+            continue
         loop.add_signal_handler(number, stop.set)
     return stop
 

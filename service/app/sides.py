@@ -159,8 +159,10 @@ def side_process(
     _end_with_supervisor()
     # systemd expects signs of life of the supervisor, and the supervisor of its sides.
     os.environ.update(environment, WATCHDOG_PID=str(os.getpid()))
-    # The terminal sends Ctrl-C to all processes; the supervisor ends its sides in their order.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # The terminal sends Ctrl-C and its own end to all processes; the supervisor ends its sides in
+    # their order.
+    for name in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(name, signal.SIG_IGN)
     configure_logging()
     structlog.contextvars.bind_contextvars(process=side)
     try:

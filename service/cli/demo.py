@@ -3,7 +3,6 @@
 import asyncio
 import contextlib
 import json
-import signal
 import sys
 import time
 from typing import TYPE_CHECKING, Annotated
@@ -112,7 +111,7 @@ async def _demo(
     from service.demo.table import print_account
 
     # The terminal that goes away hangs up: the processes of the demo must not stay behind.
-    stop = stop_on_signals((signal.SIGTERM, signal.SIGINT, signal.SIGHUP))
+    stop = stop_on_signals()
     began = time.monotonic()
 
     def report(line: str) -> None:
