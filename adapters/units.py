@@ -2,29 +2,31 @@
 
 import math
 import re
+import unicodedata
 from typing import Final, Protocol
 
 # By our unit: the names that others give it or another unit, with scale and offset into ours.
 # "Â°C" is what readers make of a UTF-8 file that they take for a Western European one.
 _NAMES: Final = {
     "°C": {
-        ("°C", "degC", "℃", "C", "Cel", "Celsius", "degCelsius", "degreesC", "GradC", "Â°C"): (
-            1.0,
-            0.0,
-        ),
-        ("K", "degK", "Kelvin"): (1.0, -273.15),
-        ("°F", "degF", "℉", "F", "Fahrenheit", "degFahrenheit", "degreesF", "Â°F"): (
-            5.0 / 9.0,
-            -160.0 / 9.0,
-        ),
+        (
+            *("°C", "C", "Cel", "Celsius", "Â°C", "degC", "degCelsius", "degreeC", "degreesC"),
+            *("degreeCelsius", "degreesCelsius", "GradC", "GradCelsius"),
+        ): (1.0, 0.0),
+        ("K", "°K", "degK", "Kelvin"): (1.0, -273.15),
+        (
+            *("°F", "F", "Fahrenheit", "Â°F", "degF", "degFahrenheit", "degreeF", "degreesF"),
+            *("degreeFahrenheit", "degreesFahrenheit"),
+        ): (5.0 / 9.0, -160.0 / 9.0),
     },
+    # Not "Hz": a drive's is that of its current.
     "rpm": {
-        ("rpm", "1/min", "min-1", "min^-1", "/min", "r/min", "rev/min", "U/min"): (1.0, 0.0),
-        ("1/s", "s-1", "s^-1", "rps", "r/s", "rev/s", "Hz"): (60.0, 0.0),
+        ("rpm", "1/min", "min-1", "min^-1", "/min", "r/min", "rev/min", "U/min", "tr/min"): (1, 0),
+        ("1/s", "s-1", "s^-1", "rps", "r/s", "rev/s"): (60.0, 0.0),
         ("rad/s",): (30.0 / math.pi, 0.0),
     },
     "N": {
-        ("N", "Newton"): (1.0, 0.0),
+        ("N", "Newton", "Newtons"): (1.0, 0.0),
         ("daN",): (10.0, 0.0),
         ("kN", "Kilonewton"): (1e3, 0.0),
         ("lbf",): (4.4482216152605, 0.0),
@@ -34,8 +36,10 @@ _IN_BRACKETS = re.compile(r"[\[(]([^\[\]()]*)[\])]\s*$")
 
 
 def _plain(unit: str) -> str:
-    """Leave out what people write differently: spaces, underscores, capitals."""
-    return re.sub(r"[\s_]", "", unit).casefold()
+    """Leave out what people write differently: spaces, dots, capitals, raised figures."""
+    # An ordinal sign for a degree, and a degree sign of DOS that was read as one of Windows.
+    text = unicodedata.normalize("NFKC", unit.replace("º", "°").replace("ø", "°"))
+    return re.sub(r"[\s_.]", "", text.replace("\N{MINUS SIGN}", "-")).casefold()
 
 
 _KNOWN: Final = {
@@ -86,11 +90,13 @@ def units_for(ours: str) -> tuple[str, ...]:
 def unit_in(heading: str, ours: str) -> str:
     """Unit at the end of a column's name, in brackets: ``Load [kN]``; empty where there is none.
 
-    What stands in round brackets is one only where `into_unit` knows it, and a number never is.
+    What stands in round brackets is one only where `into_unit` knows it, and a number never is;
+    ``(F)`` is front.
     """
     found = _IN_BRACKETS.search(heading)
     text = found[1].strip() if found else ""
-    if not re.search(r"[^\W\d]|°", text):
+    if not re.search(r"[^\W\d]|[°%]", text):
         return ""
-    is_round = heading.rstrip().endswith(")")
-    return "" if is_round and into_unit(ours, text) is None else text
+    if heading.rstrip().endswith(")") and not re.search("[°%]", text):
+        return "" if text == "F" or into_unit(ours, text) is None else text
+    return text

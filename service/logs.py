@@ -1,5 +1,6 @@
 """Structured logs: one JSON object per line on standard error, which need not be read."""
 
+import contextlib
 import json
 import logging
 import os
@@ -7,7 +8,7 @@ import sys
 import time
 from collections.abc import Sequence
 from queue import SimpleQueue
-from threading import Event, Lock, Thread
+from threading import Event, Lock, RLock, Thread
 
 import structlog
 from cachetools import TTLCache
@@ -38,7 +39,7 @@ class _Lines(logging.Handler):
     def _begin(self) -> None:
         # A simple queue can be put to from anywhere, also while it is being put to.
         self._waiting: SimpleQueue[str | Event] = SimpleQueue()
-        self._starting = Lock()
+        self._starting = RLock()
         self._thread: Thread | None = None
         self._dropped = 0
 
@@ -70,8 +71,10 @@ class _Lines(logging.Handler):
     def _start(self) -> None:
         with self._starting:
             if self._thread is None:
-                self._thread = Thread(target=self._write, name="writes the log", daemon=True)
-                self._thread.start()
+                thread = Thread(target=self._write, name="writes the log", daemon=True)
+                with contextlib.suppress(RuntimeError):  # no thread is left: the next line tries
+                    thread.start()
+                    self._thread = thread
 
     def _write(self) -> None:
         waiting = self._waiting
@@ -87,6 +90,10 @@ class _Lines(logging.Handler):
 
 def say_last(lines: Sequence[str]) -> None:
     """Write what a process has to say at its end; waits only a moment for who reads it."""
+    if sys.stderr is None:  # it was closed
+        return
+    for handler in logging.getLogger().handlers:
+        handler.flush()
     if not _is_plain():
         sys.stderr.write("".join(f"{line}\n" for line in lines))
         sys.stderr.flush()

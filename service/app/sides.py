@@ -192,12 +192,15 @@ def key_check_process(settings: Settings) -> None:
     _end_with_supervisor()
     configure_logging()
     service = settings.service
-    with (
-        refusals(),
-        contextlib.suppress(StoreError),
-        Store.open(service.database_url, settings.data_dir) as store,
-    ):
-        check_key(store, service.host)
+    try:
+        with (
+            refusals(),
+            contextlib.suppress(StoreError),
+            Store.open(service.database_url, settings.data_dir) as store,
+        ):
+            check_key(store, service.host)
+    finally:
+        logging.shutdown()
 
 
 def _name(side: SideName) -> None:

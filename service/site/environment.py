@@ -1,6 +1,7 @@
 """The part of the configuration that comes from the environment, read as strictly as the file."""
 
 import os
+import re
 from collections.abc import Iterable
 
 from pydantic_settings import BaseSettings, EnvSettingsSource
@@ -10,6 +11,7 @@ from adapters.configuration import suggestion
 
 PREFIX = "BEARING_TWIN__"
 _QUOTES = "'\""
+_KEY = re.compile(r"[\w.]+(?:\[\d+\])*")
 
 
 def environment_errors(settings: type[BaseSettings]) -> list[str]:
@@ -19,12 +21,26 @@ def environment_errors(settings: type[BaseSettings]) -> list[str]:
 
 def by_variable(lines: Iterable[str]) -> list[str]:
     """Name the variable in what is wrong with a key that comes from one."""
-    keys = {key_of(name): name for name in _names()}
+    keys = sorted(((key_of(name), name) for name in _names()), key=lambda one: -len(one[0]))
     found = []
     for line in lines:
-        key = next((key for key in keys if line.startswith((f"{key}:", f"{key} ", f"{key}["))), "")
-        found.append(f"{keys[key]}: {line}" if key else line)
+        wrong = _KEY.match(line)
+        named = "" if wrong is None else wrong[0]
+        names = (
+            name
+            for key, name in keys
+            if key == named
+            or named.startswith((f"{key}.", f"{key}["))
+            or key.startswith(f"{named}.")
+        )
+        name = next(names, "") if named else ""
+        found.append(f"{name}: {line}" if name else line)
     return found
+
+
+def is_variable(line: str) -> bool:
+    """Whether a line of `by_variable` names one."""
+    return line.upper().startswith(PREFIX)
 
 
 def key_of(name: str) -> str:

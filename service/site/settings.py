@@ -30,7 +30,7 @@ from service.domain.section import Section
 from service.feature_folders import modules
 from service.site.asset_section import AssetSection
 from service.site.configuration import SettingsError, TomlTable, describe_all, read_toml
-from service.site.environment import PREFIX, by_variable, environment_errors
+from service.site.environment import by_variable, environment_errors, is_variable
 from service.site.fleet_section import FleetSection
 from service.site.machines.bearings import BearingSection, with_designation
 from service.site.machines.networks import (
@@ -347,7 +347,7 @@ def load_settings(file: Path | None, text: str | None = None) -> Settings:
     except ValidationError as error:
         lines = by_variable(describe_all(error))
         raise SettingsError(
-            *(line if line.startswith(PREFIX) else where + line for line in lines)
+            *(line if is_variable(line) else where + line for line in lines)
         ) from error
     except TypeError as error:
         raise SettingsError(f"{where}{error}") from error

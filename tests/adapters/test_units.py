@@ -92,10 +92,39 @@ def test_limits_of_the_file_are_in_its_unit_and_those_of_the_channel_in_ours(
         ("Temperature [°F]", "t_inner_ring_c", "°F"),
         ("kN", "load_n", ""),
         ("Load [kN] raw", "load_n", ""),
+        ("Load [%]", "load_n", "%"),
+        ("Load (%)", "load_n", "%"),
+        ("Outer ring (F)", "t_outer_ring_c", ""),
+        ("Outer ring (°F)", "t_outer_ring_c", "°F"),
     ],
 )
 def test_a_heading_states_a_unit_at_its_end(heading: str, channel: str, unit: str) -> None:
     assert unit_in(heading, unit_of(channel)) == unit
+
+
+@pytest.mark.parametrize(
+    ("ours", "theirs", "expected"),
+    [
+        ("°C", "ºC", 1.0),
+        ("°C", "degree_Celsius", 1.0),
+        ("°C", "degrees Celsius", 1.0),
+        ("°C", "\N{DEGREE CELSIUS}", 1.0),
+        ("°C", "øC", 1.0),
+        ("°C", "°K", 1.0),
+        ("rpm", "min⁻¹", 1.0),
+        ("rpm", "s⁻¹", 60.0),
+        ("rpm", "r.p.m.", 1.0),
+        ("N", "newtons", 1.0),
+        ("rpm", "Hz", None),
+        ("N", "MN", None),
+        ("N", "N/mm2", None),
+        ("N", "Nm", None),
+        ("°C", "mK", None),
+    ],
+)
+def test_a_unit_is_known_as_people_write_it(ours: str, theirs: str, expected: float | None) -> None:
+    found = into_unit(ours, theirs)
+    assert (found if found is None else found[0]) == expected
 
 
 def test_what_has_no_unit_of_ours_is_taken_as_it_is() -> None:

@@ -27,6 +27,19 @@ NODES_PER_REQUEST = 500
 QUEUED_VALUES = 100_000  # notifications that wait for the driver; the oldest go first
 _QUEUE_OF_A_NODE = 100
 _CLOSE_S = 0.8
+# What a server answers that states no units.
+_STATES_NONE = frozenset(
+    (
+        ua.StatusCodes.BadServiceUnsupported,
+        ua.StatusCodes.BadNotImplemented,
+        ua.StatusCodes.BadNotSupported,
+        ua.StatusCodes.BadUserAccessDenied,
+        ua.StatusCodes.BadNotReadable,
+        ua.StatusCodes.BadNoMatch,
+        ua.StatusCodes.BadNodeIdUnknown,
+        ua.StatusCodes.BadNothingToDo,
+    )
+)
 _APPLICATION_URI = "urn:bearing-twin:client"
 
 WENT_WRONG = (OSError, asyncio.TimeoutError, UaError, asyncio.IncompleteReadError, ValueError)
@@ -220,27 +233,38 @@ class Session:
         found: dict[str, str] = {}
         names = list(self._nodes)
         for begin in range(0, len(names), NODES_PER_REQUEST):
-            part = names[begin : begin + NODES_PER_REQUEST]
-            paths = [_unit_path(self._nodes[name]) for name in part]
-            try:
-                targets = await self._client.uaclient.translate_browsepaths_to_nodeids(paths)
-                properties = {
-                    name: result.Targets[0].TargetId
-                    for name, result in zip(part, targets, strict=True)
-                    if result.StatusCode.is_good() and result.Targets
-                }
-                if not properties:
-                    continue
-                request = ua.ReadParameters()
-                request.NodesToRead = [_value_of(_local(one)) for one in properties.values()]
-                values = await self._client.uaclient.read(request)
-            except (UaError, TimeoutError):  # a server need not have these services
-                return found
-            for name, value in zip(properties, values, strict=True):
-                unit = value.Value.Value if value.Value is not None else None
-                text = getattr(getattr(unit, "DisplayName", None), "Text", None)
-                if isinstance(text, str) and text.strip():
-                    found[name] = text.strip()
+            found |= await self._units_of(names[begin : begin + NODES_PER_REQUEST])
+        return found
+
+    async def _units_of(self, names: Sequence[str]) -> dict[str, str]:
+        """As `_stated_units`; what a server cannot say now is no unit that it does not state."""
+        try:
+            paths = [_unit_path(self._nodes[name]) for name in names]
+            targets = await self._client.uaclient.translate_browsepaths_to_nodeids(paths)
+            properties = {
+                name: result.Targets[0].TargetId
+                for name, result in zip(names, targets, strict=True)
+                if _is_there(result.StatusCode) and result.Targets
+            }
+            if not properties:
+                return {}
+            request = ua.ReadParameters()
+            request.NodesToRead = [_value_of(_local(one)) for one in properties.values()]
+            values = await self._client.uaclient.read(request)
+        except UaError as error:
+            code = getattr(error, "code", None)
+            if code == ua.StatusCodes.BadTooManyOperations and len(names) > 1:
+                half = len(names) // 2
+                return await self._units_of(names[:half]) | await self._units_of(names[half:])
+            if code in _STATES_NONE:
+                return {}
+            raise
+        found = {}
+        for name, value in zip(properties, values, strict=True):
+            unit = value.Value.Value if _is_there(value.StatusCode) and value.Value else None
+            text = getattr(getattr(unit, "DisplayName", None), "Text", None)
+            if isinstance(text, str) and text.strip():
+                found[name] = text.strip()
         return found
 
     async def _node_id(self, name: str) -> Any:
@@ -269,6 +293,13 @@ def _value_of(node_id: Any) -> Any:
     item.NodeId = node_id
     item.AttributeId = ua.AttributeIds.Value
     return item
+
+
+def _is_there(status: Any) -> bool:
+    """Whether a status is good, or says that there is nothing. Raises `UaError` for any other."""
+    if not status.is_good() and status.value not in _STATES_NONE:
+        raise ua.UaStatusCodeError(status.value)
+    return bool(status.is_good())
 
 
 def _local(node_id: Any) -> Any:

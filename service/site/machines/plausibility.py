@@ -23,6 +23,7 @@ Weight = Literal["said", "not accepted", "refused"]
 # The least load at which balls roll is a hundredth of the dynamic rating; a tenth of that is a
 # machine without load, or a load in another unit.
 _LEAST_LOAD_SHARE = 0.001
+_LOADED = 0.95
 _USUAL_AMBIENT_C, _ANY_AMBIENT_C = (-60.0, 60.0), (-60.0, 100.0)
 _KELVIN, _HOTTEST_C, _HOTTEST_START_C = 273.15, 200.0, 150.0
 _LONGEST_STEP_S, _MOST_STEP_S, _SHORTEST_S, _FEWEST_ROWS = 3600.0, 600.0, 600.0, 10
@@ -113,7 +114,9 @@ def doubts_of_rows(
         turning = np.abs(columns[SPEED]) >= STANDING_RPM
         turning &= np.isfinite(columns[LOAD])
         if turning.any():
-            typical |= {name: float(np.median(columns[name][turning])) for name in (SPEED, LOAD)}
+            # A machine may idle for most of its time, and turn either way.
+            typical[SPEED] = float(np.median(np.abs(columns[SPEED][turning])))
+            typical[LOAD] = float(np.quantile(np.abs(columns[LOAD][turning]), _LOADED))
     found = doubts_of_values(bearing, typical)
     if bearing is not None:
         found += _kelvin_doubts(known, typical.get(AMBIENT))

@@ -41,6 +41,8 @@ def lines(folder: Path, monkeypatch: pytest.MonkeyPatch, **variables: str) -> tu
         ("SERVICE__TRUSTED_PROXIES", "127.0.0.1", ': expected JSON text, such as ["127.0.0.1"]'),
         ("SERVICE__TRUSTED_PROXIES", '["here"]', ": service.trusted_proxies[0]"),
         ("ASSETS", "[{", ": expected JSON text"),
+        ("SERVICE", '{"port": "many"}', ": service.port = 'many'"),
+        ("SERVICE__PORT__X", "1", ": service.port"),
     ],
 )
 def test_a_wrong_variable_is_named(
@@ -49,6 +51,14 @@ def test_a_wrong_variable_is_named(
     (line,) = lines(tmp_path, monkeypatch, **{name: value})
     assert line.startswith(f"BEARING_TWIN__{name}{expected}"), line
     assert "var3" not in line
+
+
+def test_a_wrong_variable_is_named_in_its_own_case(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("bearing_twin__service__port", "many")
+    (line,) = lines(tmp_path, monkeypatch)
+    assert line.startswith("bearing_twin__service__port: service.port = 'many'")
 
 
 def test_right_variables_are_taken_in_whatever_case(

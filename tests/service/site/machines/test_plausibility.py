@@ -73,6 +73,16 @@ def test_rows_are_judged_while_the_machine_turns() -> None:
     assert (doubt.channel, doubt.weight) == ("load_n", "not accepted")
 
 
+def test_a_machine_may_idle_for_most_of_its_time_and_turn_either_way() -> None:
+    speed_rpm = np.where(np.arange(270) % 2, 1500.0, -1500.0)
+    load_n = np.where(np.arange(270) < 160, 20.0, 2650.0)
+    columns = {"speed_rpm": speed_rpm, "load_n": load_n, "ambient_c": np.full(270, 23.0)}
+    assert doubts_of_rows(BEARING, columns, TIME_S) == []
+    columns["load_n"] = load_n / 1000.0
+    (doubt,) = doubts_of_rows(BEARING, columns, TIME_S)
+    assert (doubt.channel, doubt.weight) == ("load_n", "not accepted")
+
+
 def test_rings_alone_in_kelvin_are_refused() -> None:
     ((text, weight),) = of_rows(**{OTHER: 311.15})
     assert text == f"{OTHER}: 311.1 and more; expected a start below 200 °C; kelvin?"
