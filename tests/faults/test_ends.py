@@ -17,6 +17,14 @@ pytestmark = [pytest.mark.wires, pytest.mark.timeout(300)]
 VALUES = {"speed_rpm": 1500.0, "load_n": 2650.0, "t_inner_ring_c": 40.0}
 
 
+@pytest.fixture(autouse=True)
+def in_a_terminal() -> Iterator[None]:
+    """Who runs the tests under nohup hands it on."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
+
+
 @pytest.fixture
 def station(tmp_path: Path) -> Iterator[Station]:
     with Station(tmp_path, *write_site(tmp_path, asset_text("motor-1", tuple(VALUES)))) as station:
