@@ -59,6 +59,10 @@ def into_unit(ours: str, theirs: str) -> tuple[float, float] | None:
     return _KNOWN[ours].get(_plain(theirs))
 
 
+class UnitError(ValueError):
+    """A unit that does not go into that of the channel; says which one, and what was expected."""
+
+
 class Scaled(Protocol):
     """What is configured of a channel: its value is what was read times scale plus offset."""
 
@@ -75,11 +79,22 @@ class Scaled(Protocol):
         """Keys that are given."""
 
 
-def factors_of(config: Scaled, ours: str, theirs: str) -> tuple[float, float] | None:
-    """Scale and offset as configured, else those of the stated unit; None as of `into_unit`."""
-    if {"scale", "offset"} & config.model_fields_set:
+def is_scaled(config: Scaled) -> bool:
+    """Whether a scale or an offset is configured: the unit that a source states is ignored then."""
+    return bool({"scale", "offset"} & config.model_fields_set)
+
+
+def factors_of(config: Scaled, ours: str, theirs: str) -> tuple[float, float]:
+    """Scale and offset as configured, else those of the stated unit.
+
+    Raises `UnitError` for a unit that does not go into ours.
+    """
+    if is_scaled(config):
         return config.scale, config.offset
-    return into_unit(ours, theirs)
+    found = into_unit(ours, theirs)
+    if found is None:
+        raise UnitError(f"in {theirs!r}; expected {', '.join(units_for(ours))}")
+    return found
 
 
 def units_for(ours: str) -> tuple[str, ...]:

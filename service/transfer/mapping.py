@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from adapters.configuration import first_repeated
 from adapters.tables import RowError, TimeStamp, number_of
-from adapters.units import factors_of, unit_in, units_for
+from adapters.units import UnitError, factors_of, unit_in
 from adapters.words import shown
 from service.clock import from_rfc3339
 from service.domain.channels import NODES, OPERATING_CHANNELS, RING_SENSORS, unit_of
@@ -145,13 +145,12 @@ def layout_of(
 def _in_our_unit(file: str, channel: str, one: ChannelColumn, unit: str) -> ChannelColumn:
     ours = unit_of(channel)
     unit = unit or unit_in(one.column, ours)
-    factors = factors_of(one, ours, unit)
-    if factors is None:
+    try:
+        scale, offset = factors_of(one, ours, unit)
+    except UnitError as error:
         raise TransferError(
-            f"{file}: column {one.column!r} is in {unit!r}; expected "
-            f"{', '.join(units_for(ours))} for {channel}, or a mapping with scale"
-        )
-    scale, offset = factors
+            f"{file}: column {one.column!r} is {error} for {channel}, or a mapping with scale"
+        ) from None
     return one.model_copy(update={"scale": scale, "offset": offset})
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from adapters.configuration import first_repeated
 from adapters.samples import Quality
 from adapters.tables import TableFileError
-from adapters.units import factors_of, units_for
+from adapters.units import UnitError, factors_of
 from service.domain.channels import NODES, OPERATING_CHANNELS, RING_SENSORS, unit_of
 from service.transfer.errors import TransferError
 from service.transfer.mapping import ChannelColumn, Mapping
@@ -349,11 +349,10 @@ def _bytes(file: str, one: _Chosen, quality: NDArray[Any]) -> NDArray[np.int64]:
 
 def _factors(file: str, one: _Chosen, unit: str) -> tuple[float, float]:
     """Scale and offset: as the mapping has them, else from the unit of the file."""
-    ours = unit_of(one.channel)
-    found = factors_of(one.source, ours, unit)
-    if found is None:
+    try:
+        return factors_of(one.source, unit_of(one.channel), unit)
+    except UnitError as error:
         raise TransferError(
-            f"{file}: channel {one.source.column!r} is in {unit!r}; expected "
-            f"{', '.join(units_for(ours))} for {one.channel}, or a mapping with scale"
-        )
-    return found
+            f"{file}: channel {one.source.column!r} is {error} for {one.channel}, or a mapping "
+            "with scale"
+        ) from None

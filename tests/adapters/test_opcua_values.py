@@ -13,7 +13,6 @@ from pydantic import ValidationError
 from adapters.configuration import ConfigurationError
 from adapters.drivers.opcua.codes import has_overflown, quality_of, status_code
 from adapters.drivers.opcua.config import OpcUaChannel, OpcUaSource, check
-from adapters.drivers.opcua.session import Session
 from adapters.drivers.opcua.values import (
     STANDS,
     FollowedNode,
@@ -188,42 +187,3 @@ def test_what_is_missing_is_said_before_anything_starts(monkeypatch: pytest.Monk
     settings = {**LOCAL, "security_policy": "Basic256Sha256", **files}
     with pytest.raises(ConfigurationError, match=r"gone\.der' cannot be read: No such file"):
         check(OpcUaSource.model_validate(settings), [channel], [])
-
-
-class FewAtOnce:
-    """A client of a server that takes two paths in a request, and states a unit of every node."""
-
-    def __init__(self, refusal: type[ua.UaStatusCodeError] | None = None) -> None:
-        self.uaclient, self.refusal = self, refusal
-
-    async def translate_browsepaths_to_nodeids(self, paths: list[Any]) -> list[Any]:
-        if self.refusal is not None:
-            raise self.refusal
-        if len(paths) > 2:
-            raise ua.uaerrors.BadTooManyOperations
-        return [
-            ua.BrowsePathResult(Targets=[ua.BrowsePathTarget(ua.ExpandedNodeId(number, 2), 0)])
-            for number, _ in enumerate(paths)
-        ]
-
-    async def read(self, request: Any) -> list[Any]:
-        unit = ua.EUInformation(DisplayName=ua.LocalizedText("K"))
-        return [ua.DataValue(ua.Variant(unit)) for _ in request.NodesToRead]
-
-
-def session_of(client: FewAtOnce) -> Session:
-    session = Session(OpcUaSource(name="plc", endpoint="opc.tcp://127.0.0.1:1/plc"))
-    session._client = client
-    session._nodes = {f"ns=2;i={number}": ua.NodeId(number, 2) for number in range(7)}
-    return session
-
-
-async def test_units_are_asked_for_as_a_server_takes_it() -> None:
-    found = await session_of(FewAtOnce())._stated_units()
-    assert found == {f"ns=2;i={number}": "K" for number in range(7)}
-
-
-async def test_a_server_that_states_no_units_has_none_and_one_that_fails_is_asked_again() -> None:
-    assert await session_of(FewAtOnce(ua.uaerrors.BadServiceUnsupported))._stated_units() == {}
-    with pytest.raises(ua.UaStatusCodeError):
-        await session_of(FewAtOnce(ua.uaerrors.BadTimeout))._stated_units()

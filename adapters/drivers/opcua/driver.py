@@ -1,10 +1,11 @@
 """The OPC UA driver: subscribes, comes back after a loss, and fetches what was missed."""
 
 import asyncio
+import contextlib
 import logging
 import math
 import time
-from collections.abc import AsyncIterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Collection, Sequence
 from dataclasses import replace
 from types import TracebackType
 from typing import Any, Self
@@ -13,10 +14,11 @@ from adapters.backoff import Backoff
 from adapters.drivers.opcua.backfill import fill_in
 from adapters.drivers.opcua.config import OpcUaChannel, OpcUaSource, check
 from adapters.drivers.opcua.session import Session, SessionError
+from adapters.drivers.opcua.units import StatedUnits
 from adapters.drivers.opcua.values import FollowedNode, compared, moment_of
 from adapters.protocol import ChannelBinding, Clock, PlanBinding, SourceHealth
 from adapters.samples import Batch, Quality, Sample, is_bad, is_good, next_time_us
-from adapters.units import factors_of, units_for
+from adapters.units import UnitError, factors_of, is_scaled
 
 logger = logging.getLogger(__name__)
 
@@ -28,6 +30,8 @@ LOG_INTERVAL_S = 10.0  # between two lines on the same channel
 HISTORY_WAITS = 4  # answers of the history that wait to be handed over
 PORTION = 1000  # samples of the history that are handed over at once
 MOST_GAPS = 16  # of a channel that wait for the server's history
+# A server that does not say its units is asked again.
+UNITS_AGAIN_FIRST_S, UNITS_AGAIN_LAST_S = 10.0, 600.0
 
 
 class OpcUaDriver:
@@ -63,6 +67,11 @@ class OpcUaDriver:
         self._backoff = Backoff(RECONNECT_FIRST_S, RECONNECT_LAST_S)
         self._filling: asyncio.Task[None] | None = None
         self._history: asyncio.Queue[list[Sample]] = asyncio.Queue(HISTORY_WAITS)
+        self._units: dict[str, str] = {}  # of nodes, as the server stated them last
+        self._unasked: Collection[str] = ()  # nodes of which it does not say whether they have one
+        self._asking: asyncio.Task[None] | None = None
+        self._ask_again = Backoff(UNITS_AGAIN_FIRST_S, UNITS_AGAIN_LAST_S)
+        self._ask_at = math.inf  # wall (monotonic) time
 
     @property
     def name(self) -> str:
@@ -121,7 +130,8 @@ class OpcUaDriver:
         """Connect, and yield what comes until the connection is lost."""
         session = self._session = Session(self._source)
         refused = await session.open(self._by_node)
-        self._take_units(session.units)
+        self._ask_again.reset()
+        self._take_units(await session.stated_units(self._by_node))
         if self._was_connected:
             self._health.reconnects += 1
             logger.info("source %s: reconnected", self.name)
@@ -154,20 +164,49 @@ class OpcUaDriver:
                 self._health.polls += 1
                 yield Batch(samples)
             self._begin_to_fill_in(session)
+            self._begin_to_ask(session)
         raise SessionError(session.lost)
 
-    def _take_units(self, units: Mapping[str, str]) -> None:
+    def _take_units(self, stated: StatedUnits) -> None:
         """Turn values into the channels' units; what cannot be turned is doubted."""
+        self._units |= stated.units
+        self._unasked = stated.unanswered
+        if stated.unanswered:
+            reason, wait_s = next(iter(stated.unanswered.values())), self._ask_again.next()
+            self._ask_at = time.monotonic() + wait_s
+            logger.info(
+                "source %s: the server does not say the units of %d nodes: %s; again in %.0f s",
+                *(self.name, len(stated.unanswered), reason, wait_s),
+            )
         for point, given in zip(self._points, self._given, strict=True):
-            unit = units.get(given.node, "")
-            factors = factors_of(given, point.unit, unit)
-            point.doubt = ""
-            if factors is None:
-                factors = given.scale, given.offset
-                known = ", ".join(units_for(point.unit))
-                point.doubt = f"the server has it in {unit!r}; expected {known}, or scale"
+            if given.node not in stated.units and given.node not in stated.unanswered:
+                continue
+            unit = self._units.get(given.node, "")
+            factors, doubt = (given.scale, given.offset), ""
+            before = point.config, point.doubt
+            try:
+                factors = factors_of(given, point.unit, unit)
+                if given.node in stated.unanswered and not is_scaled(given):
+                    why = stated.unanswered[given.node]
+                    doubt = f"the server does not say its unit: {why}; expected one, or scale"
+            except UnitError as error:
+                doubt = f"the server has it {error}, or scale"
             keys = {"scale": factors[0], "offset": factors[1]}
-            point.config = given.model_copy(update=keys)
+            point.config, point.doubt = given.model_copy(update=keys), doubt
+            if before != (point.config, point.doubt):
+                # The same value counts as another one, and need not change for that.
+                point.source_us = point.heard_us = 0
+
+    def _begin_to_ask(self, session: Session) -> None:
+        """Ask again for units that the server did not say, while values go on."""
+        is_asking = self._asking is not None and not self._asking.done()
+        if self._unasked and not is_asking and time.monotonic() >= self._ask_at:
+            self._ask_at = math.inf
+            self._asking = asyncio.create_task(self._ask(session))
+
+    async def _ask(self, session: Session) -> None:
+        with contextlib.suppress(SessionError):  # the connection is lost: asked after the next one
+            self._take_units(await session.stated_units(self._unasked))
 
     async def _wait(self, session: Session) -> None:
         """Wait for a notification; not for long, as history may come or a node fall silent."""
@@ -319,10 +358,11 @@ class OpcUaDriver:
         self._problem = reason
 
     async def _close(self) -> None:
-        filling, self._filling = self._filling, None
-        if filling is not None:
-            filling.cancel()
-            await asyncio.gather(filling, return_exceptions=True)
+        tasks = [task for task in (self._filling, self._asking) if task is not None]
+        self._filling = self._asking = None
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
         # Of history that was not taken the gap is open again.
         while not self._history.empty():
             self._reopen(self._history.get_nowait())

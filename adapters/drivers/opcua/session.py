@@ -18,28 +18,15 @@ from cryptography import x509
 
 from adapters import AdapterError
 from adapters.drivers.opcua.config import OpcUaSource
+from adapters.drivers.opcua.units import NODES_PER_REQUEST, StatedUnits, stated_units
 
 # Whatever goes wrong is reported once, by the driver; the library logs every failed attempt.
 if logging.getLogger("asyncua").level == logging.NOTSET:
     logging.getLogger("asyncua").setLevel(logging.CRITICAL)
 
-NODES_PER_REQUEST = 500
 QUEUED_VALUES = 100_000  # notifications that wait for the driver; the oldest go first
 _QUEUE_OF_A_NODE = 100
 _CLOSE_S = 0.8
-# What a server answers that states no units.
-_STATES_NONE = frozenset(
-    (
-        ua.StatusCodes.BadServiceUnsupported,
-        ua.StatusCodes.BadNotImplemented,
-        ua.StatusCodes.BadNotSupported,
-        ua.StatusCodes.BadUserAccessDenied,
-        ua.StatusCodes.BadNotReadable,
-        ua.StatusCodes.BadNoMatch,
-        ua.StatusCodes.BadNodeIdUnknown,
-        ua.StatusCodes.BadNothingToDo,
-    )
-)
 _APPLICATION_URI = "urn:bearing-twin:client"
 
 WENT_WRONG = (OSError, asyncio.TimeoutError, UaError, asyncio.IncompleteReadError, ValueError)
@@ -56,7 +43,6 @@ class Session:
     - ``changed``: set when notifications wait, or the connection is lost.
     - ``lost``: why the connection is of no use any more; empty while it is.
     - ``dropped``: notifications that were not taken in time.
-    - ``units``: of nodes, as the server states them (Part 8, EngineeringUnits).
     """
 
     def __init__(self, source: OpcUaSource) -> None:
@@ -68,7 +54,6 @@ class Session:
         self.changed = asyncio.Event()
         self.lost = ""
         self.dropped = 0
-        self.units: dict[str, str] = {}
 
     async def open(self, nodes: Iterable[str]) -> dict[str, str]:
         """Connect and subscribe to nodes; returns those that the server does not give, and why.
@@ -77,9 +62,7 @@ class Session:
         """
         try:
             await self._connect()
-            refused = await self._subscribe(list(dict.fromkeys(nodes)))
-            self.units = await self._stated_units()
-            return refused
+            return await self._subscribe(list(dict.fromkeys(nodes)))
         except WENT_WRONG as error:
             await self.close()
             raise SessionError(self._why(error)) from error
@@ -121,6 +104,14 @@ class Session:
         except WENT_WRONG as error:
             raise SessionError(self._why(error)) from error
         return found
+
+    async def stated_units(self, nodes: Iterable[str]) -> StatedUnits:
+        """Ask for the units of nodes that the server knows. Raises `SessionError`."""
+        known = {name: self._nodes[name] for name in nodes if name in self._nodes}
+        try:
+            return await stated_units(self._client.uaclient, known)
+        except WENT_WRONG as error:
+            raise SessionError(self._why(error)) from error
 
     async def history(self, node: str, begin: Any, end: Any) -> list[Any]:
         """Read the recorded values of a node, ends included. Raises `SessionError`."""
@@ -228,45 +219,6 @@ class Session:
             return {}
         return dict(zip(names, await subscription.create_monitored_items(requests), strict=True))
 
-    async def _stated_units(self) -> dict[str, str]:
-        """Names of the units of nodes; without those whose server states none."""
-        found: dict[str, str] = {}
-        names = list(self._nodes)
-        for begin in range(0, len(names), NODES_PER_REQUEST):
-            found |= await self._units_of(names[begin : begin + NODES_PER_REQUEST])
-        return found
-
-    async def _units_of(self, names: Sequence[str]) -> dict[str, str]:
-        """As `_stated_units`; what a server cannot say now is no unit that it does not state."""
-        try:
-            paths = [_unit_path(self._nodes[name]) for name in names]
-            targets = await self._client.uaclient.translate_browsepaths_to_nodeids(paths)
-            properties = {
-                name: result.Targets[0].TargetId
-                for name, result in zip(names, targets, strict=True)
-                if _is_there(result.StatusCode) and result.Targets
-            }
-            if not properties:
-                return {}
-            request = ua.ReadParameters()
-            request.NodesToRead = [_value_of(_local(one)) for one in properties.values()]
-            values = await self._client.uaclient.read(request)
-        except UaError as error:
-            code = getattr(error, "code", None)
-            if code == ua.StatusCodes.BadTooManyOperations and len(names) > 1:
-                half = len(names) // 2
-                return await self._units_of(names[:half]) | await self._units_of(names[half:])
-            if code in _STATES_NONE:
-                return {}
-            raise
-        found = {}
-        for name, value in zip(properties, values, strict=True):
-            unit = value.Value.Value if _is_there(value.StatusCode) and value.Value else None
-            text = getattr(getattr(unit, "DisplayName", None), "Text", None)
-            if isinstance(text, str) and text.strip():
-                found[name] = text.strip()
-        return found
-
     async def _node_id(self, name: str) -> Any:
         if name.startswith("nsu="):
             uri, _, rest = name.removeprefix("nsu=").partition(";")
@@ -293,29 +245,6 @@ def _value_of(node_id: Any) -> Any:
     item.NodeId = node_id
     item.AttributeId = ua.AttributeIds.Value
     return item
-
-
-def _is_there(status: Any) -> bool:
-    """Whether a status is good, or says that there is nothing. Raises `UaError` for any other."""
-    if not status.is_good() and status.value not in _STATES_NONE:
-        raise ua.UaStatusCodeError(status.value)
-    return bool(status.is_good())
-
-
-def _local(node_id: Any) -> Any:
-    """The same node as one of this server: a target of a path has a longer form."""
-    return ua.NodeId(node_id.Identifier, node_id.NamespaceIndex, node_id.NodeIdType)
-
-
-def _unit_path(node_id: Any) -> Any:
-    step = ua.RelativePathElement()
-    step.ReferenceTypeId = ua.NodeId(ua.ObjectIds.HasProperty)
-    step.IsInverse, step.IncludeSubtypes = False, True
-    step.TargetName = ua.QualifiedName("EngineeringUnits", 0)
-    path = ua.BrowsePath()
-    path.StartingNode = node_id
-    path.RelativePath.Elements = [step]
-    return path
 
 
 def _is_filter_refused(result: Any) -> bool:

@@ -19,7 +19,7 @@ from adapters.protocol import ChannelBinding, Clock, PlanBinding, SourceHealth
 from adapters.samples import Batch, Quality, Sample, is_good
 from adapters.tables import RowError, TableFileError, units_stated
 from adapters.times import EARLIEST_US, POSSIBLE, dated, is_possible
-from adapters.units import factors_of, unit_in, units_for
+from adapters.units import UnitError, factors_of, unit_in
 
 if TYPE_CHECKING:
     import can
@@ -216,12 +216,11 @@ def _scaled(source: ReplaySource, channels: Sequence[ChannelBinding]) -> list[Ch
         config = _config(binding)
         column = config.column or ""
         unit = stated.get(column) or unit_in(column, binding.unit)
-        factors = factors_of(config, binding.unit, unit)
-        if factors is None:
-            raise ConfigurationError(
-                f"channel {binding.asset}/{binding.channel}: column {column!r} is in {unit!r}; "
-                f"expected {', '.join(units_for(binding.unit))}, or scale"
-            )
+        try:
+            factors = factors_of(config, binding.unit, unit)
+        except UnitError as error:
+            where = f"channel {binding.asset}/{binding.channel}: column {column!r}"
+            raise ConfigurationError(f"{where} is {error}, or scale") from None
         keys = {"scale": factors[0], "offset": factors[1]}
         found.append(dataclasses.replace(binding, config=config.model_copy(update=keys)))
     return found

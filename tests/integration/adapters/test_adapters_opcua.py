@@ -190,6 +190,38 @@ async def test_values_are_turned_from_the_unit_that_the_server_states(
         }
 
 
+async def test_a_unit_that_the_server_does_not_say_is_asked_for_again(
+    follow: Callable[..., Any],
+    peer: Callable[..., Any],
+    free_port: int,
+    origin: dt.datetime,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("adapters.drivers.opcua.driver.UNITS_AGAIN_FIRST_S", 0.2)
+    server = peer("opcua_server.py", free_port, origin.isoformat())
+    await asyncio.to_thread(server.start)
+    async with (
+        follow("t_silent_c", "t_kelvin_c") as record,
+        Client(f"opc.tcp://127.0.0.1:{free_port}/plc") as plc,
+    ):
+        await record.until(lambda: bool(record.of("t_silent_c") and record.of("t_kelvin_c")), 60.0)
+        assert {(one.value, one.quality) for one in record.of("t_silent_c")} == {
+            (296.15, Quality.UNCERTAIN)
+        }
+        assert {one.quality for one in record.of("t_kelvin_c")} == {GOOD}
+        assert record.driver.health().problems == {
+            "bench/t_silent_c": "the server does not say its unit: BadInternalError; "
+            "expected one, or scale"
+        }
+        space = await plc.get_namespace_index("urn:example:plc")
+        unit = ua.EUInformation(DisplayName=ua.LocalizedText("K"))
+        await plc.get_node(ua.NodeId("t_silent_c/eu", space)).write_value(unit)
+        # The value stands still all the time.
+        await record.until(lambda: record.of("t_silent_c")[-1].quality == GOOD, 60.0)
+        assert record.of("t_silent_c")[-1].value == pytest.approx(23.0)
+        assert record.driver.health().problems == {}
+
+
 @pytest.mark.parametrize("begins", ["before the driver connects", "while the driver follows"])
 async def test_every_change_is_taken_though_the_source_time_stands_still(
     begins: str,

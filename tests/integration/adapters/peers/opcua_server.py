@@ -33,7 +33,12 @@ STRANGE = {
     "flag": ua.Variant(True),
 }
 
-UNITS = {"t_kelvin_c": ("K", 296.15), "t_pressure_c": ("bar", 3.0), "load_n": ("kN", 2.65)}
+UNITS = {
+    "t_kelvin_c": ("K", 296.15),
+    "t_pressure_c": ("bar", 3.0),
+    "load_n": ("kN", 2.65),
+    "t_silent_c": ("K", 296.15),  # it is not said before the test writes it
+}
 
 
 def value(k: int, origin: dt.datetime) -> ua.DataValue:
@@ -110,7 +115,11 @@ async def main(port: int, origin: dt.datetime, folder: Path | None) -> None:
             DisplayName=ua.LocalizedText(unit),
         )
         place, title = ua.NodeId(f"{name}/eu", space), ua.QualifiedName("EngineeringUnits", 0)
-        await node.add_property(place, title, about)
+        unit = await node.add_property(place, title, about)
+        if name == "t_silent_c":
+            await unit.set_writable()
+            failed = ua.DataValue(StatusCode=ua.StatusCode(ua.StatusCodes.BadInternalError))
+            await server.write_attribute_value(unit.nodeid, failed)
     an_hour_ago = origin - dt.timedelta(hours=1)
 
     async def write(name: str, what: ua.DataValue) -> None:
