@@ -100,8 +100,7 @@ class FollowedAssets(Part):
         """Step the twins until cancelled."""
         # Side by side: their last saving takes its time when the store does not answer.
         async with self._tasks:
-            steps = self._twins.run(self._core.kernels.ready)
-            self._tasks.create_task(steps, name="steps of the twins")
+            self._tasks.create_task(self._twins.run(), name="steps of the twins")
             self._tasks.create_task(self._be_prompt(), name="twins that stay")
             for asset_id in self._core.assets:
                 self._follow(asset_id, self._kept_states.pop(asset_id, None))

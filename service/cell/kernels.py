@@ -21,7 +21,7 @@ class Kernels(Part):
     """Loads the kernels, or has them compiled by a process of its own first.
 
     Compiling takes 20 s of processor time. In the process of the cell it would delay every poll;
-    devices are read, stored and shown meanwhile, without estimates.
+    devices are read meanwhile, values are stored and shown, and limits are watched.
 
     Parameters
     ----------
@@ -50,7 +50,8 @@ class Kernels(Part):
         share = min(self._compiled / KERNELS, 0.99)
         return (
             f"the twin is being compiled, which only the first start does: {share:.0%}; measured "
-            "values are stored and shown, estimates and forecasts follow"
+            "values are stored, shown and compared with their limits; estimates and forecasts "
+            "follow"
         )
 
     async def run(self) -> None:

@@ -74,6 +74,8 @@ class AssetRuntime:
     ----------
     make_number : int
         Another one for each that is made in this process.
+    estimates : bool
+        Whether there is what estimates are computed with. Until then only alarms are judged.
     """
 
     _numbers = itertools.count(1)
@@ -124,6 +126,7 @@ class AssetRuntime:
         )
         parts = self.estimate, self._watch, self._judgement, self._forecasts
         self.saving = Saving(settings.id, save_state, self.estimate, partial(_kept, *parts))
+        self.estimates = False
         # The state to go on from, until there is what estimates are computed with.
         self._waits: KeptState | None = None
         self._blind: list[str] = []
@@ -236,7 +239,7 @@ class AssetRuntime:
             What to go on from.
         ready : asyncio.Event, optional
             Set when there is what estimates are computed with. Until then measured values alone
-            are sent.
+            are sent and judged.
         """
         if AMBIENT not in self.facts:
             _log.warning(
@@ -246,6 +249,8 @@ class AssetRuntime:
                 expected=f"a channel {AMBIENT}",
             )
         self._waits = kept_state
+        if kept_state is not None:
+            self._watch.restore_sources(kept_state.get("watch") or {})
         try:
             if ready is not None and not ready.is_set():
                 self.documents.running = True
@@ -253,17 +258,16 @@ class AssetRuntime:
             self._waits = None
             if kept_state is not None:
                 self._restore(kept_state)
-            self.documents.running = True
+            self.estimates = self.documents.running = True
             await self._forecasts.run(self._forecast_made)
         finally:
-            self.documents.running = False
+            self.estimates = self.documents.running = False
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(LAST_SAVE_WALL_S):
                     await self.saving.last()
 
     def _restore(self, kept_state: KeptState) -> None:
         watched: KeptWatch = kept_state.get("watch") or {}
-        self._watch.restore_sources(watched)
         for follower in self._forecasts.followers:
             if known := cast(Mapping[str, object], kept_state).get(follower.name):
                 follower.restore(known)
@@ -342,7 +346,7 @@ class AssetRuntime:
         before
             A twin of the same machine that does not run any more.
         """
-        return await self.saving.take_over(before.saving)
+        return await self.saving.take_over(before.saving) or before._waits
 
 
 # What the parts of a runtime ask is no method of it: a twin that has ended goes at once then, and

@@ -3,7 +3,7 @@
 import asyncio
 import contextlib
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from adapters.protocol import Clock
 from service.live.asset import STEP_S, AssetRuntime
@@ -59,16 +59,14 @@ class Twins:
         finally:
             group.remove(runtime)
 
-    async def run(self, ready: asyncio.Event | None = None) -> None:
-        """Work until cancelled; steps begin when ``ready`` is set, where it is given."""
+    async def run(self) -> None:
+        """Work until cancelled."""
         async with asyncio.TaskGroup() as tasks:
-            tasks.create_task(self._step(ready))
+            tasks.create_task(self._step())
             tasks.create_task(self._publish())
             tasks.create_task(self._save())
 
-    async def _step(self, ready: asyncio.Event | None) -> None:
-        if ready is not None:
-            await ready.wait()
+    async def _step(self) -> None:
         wall_s = asyncio.get_running_loop().time
         due_wall_s = wall_s()
         while True:
@@ -80,13 +78,7 @@ class Twins:
             for portion in _portions(group):
                 now_us = self._clock.now_us()
                 means = [runtime.readings.take_means() for runtime in portion]
-                failures = step_together([one.estimate for one in portion], now_us, means)
-                advance_together(
-                    [
-                        runtime.stepped(now_us, failure)
-                        for runtime, failure in zip(portion, failures, strict=True)
-                    ]
-                )
+                _estimate(portion, now_us, means)
                 steps = Steps()
                 for runtime, given in zip(portion, means, strict=True):
                     if runtime.documents.running:  # it may have ended in a pause
@@ -126,6 +118,17 @@ class Twins:
 
     def _all(self) -> list[AssetRuntime]:
         return [runtime for group in self._groups for runtime in group]
+
+
+def _estimate(
+    runtimes: Sequence[AssetRuntime], now_us: int, means: Sequence[Mapping[str, float]]
+) -> None:
+    """Advance the estimates of those that have what they are computed with."""
+    due = [(one, given) for one, given in zip(runtimes, means, strict=True) if one.estimates]
+    failures = step_together([one.estimate for one, _ in due], now_us, [given for _, given in due])
+    advance_together(
+        [one.stepped(now_us, failure) for (one, _), failure in zip(due, failures, strict=True)]
+    )
 
 
 def _portions(runtimes: Sequence[AssetRuntime]) -> Iterator[Sequence[AssetRuntime]]:

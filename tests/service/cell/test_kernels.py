@@ -21,7 +21,7 @@ def test_kernels_that_are_there_are_not_reported() -> None:
 def test_the_progress_says_what_is_missing_meanwhile() -> None:
     assert Kernels(ready=False).progress == (
         "the twin is being compiled, which only the first start does: 0%; measured values are "
-        "stored and shown, estimates and forecasts follow"
+        "stored, shown and compared with their limits; estimates and forecasts follow"
     )
 
 

@@ -89,7 +89,7 @@ class Live:
     async def _run(self, kept: Mapping[str, Any] | None) -> None:
         twins = Twins(self.clock)
         async with asyncio.TaskGroup() as tasks:
-            tasks.create_task(twins.run(self.ready))
+            tasks.create_task(twins.run())
             with twins.stepping(self.runtime):
                 await self.runtime.run(kept, self.ready)
 

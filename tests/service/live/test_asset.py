@@ -45,6 +45,31 @@ async def test_measured_values_are_there_before_the_kernels_are(
     await live.until(lambda: live.runtime.estimate.started, "a start", machine_at_rest)
 
 
+async def test_alarms_do_not_wait_for_the_kernels(
+    make_live: Callable[..., Any], machine_at_rest: dict[str, float]
+) -> None:
+    before = make_live()
+    await running(before, WARM)
+    await before.stop()
+    live = make_live()
+    live.ready = asyncio.Event()
+    kept = json.loads(json.dumps(before.saved[-1]))
+    live.start(kept)
+    hot = WARM | {"t_inner_ring_c": 97.0}
+    (alarm,) = await live.until(
+        lambda: [one for one in live.alarms.active("bench-1") if one.level == "alarm"], "it", hot
+    )
+    assert (alarm.kind, alarm.channel, alarm.value) == ("measured limit", "t_inner_ring_c", 97.0)
+    assert live.documents.verdict().now.word == "unknown"
+    assert not live.runtime.estimate.started
+    # What was kept is not lost by then.
+    assert not live.saved
+    live.ready.set()
+    await live.until(lambda: live.runtime.estimate.started, "the kept estimate")
+    assert live.runtime.estimate.followed_s > kept["followed_s"] - 1.0
+    await live.until(lambda: not live.alarms.present("bench-1"), "an end of the alarm", WARM)
+
+
 async def test_it_starts_with_the_first_good_values_and_forecasts(
     make_live: Callable[..., Any], machine_at_rest: dict[str, float]
 ) -> None:

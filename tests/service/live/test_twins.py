@@ -20,6 +20,7 @@ class Steps:
     """Stands for a runtime: it notes when it is stepped."""
 
     def __init__(self) -> None:
+        self.estimates = True
         self.documents = SimpleNamespace(running=True)
         self.readings = SimpleNamespace(take_means=dict)
         self.estimate = None
