@@ -23,11 +23,15 @@ class ServiceManager:
     Parameters
     ----------
     environment : mapping of str to str
-        ``NOTIFY_SOCKET``, and ``WATCHDOG_USEC`` where signs of life are expected.
+        ``NOTIFY_SOCKET``, and ``WATCHDOG_USEC`` where signs of life are expected. An address
+        ``fd:NUMBER`` is an open socket of this process: so the supervisor hears its sides, which
+        needs no folder, and no other process can speak for them.
     """
 
     def __init__(self, environment: Mapping[str, str] = os.environ) -> None:
         address = environment.get("NOTIFY_SOCKET", "")
+        number = address.removeprefix("fd:")
+        self._descriptor = int(number) if number != address and number.isdigit() else None
         # An address that begins with @ is an abstract one, which the kernel writes with a NUL.
         self._address = "\0" + address[1:] if address.startswith("@") else address
         meant_for = environment.get("WATCHDOG_PID", str(os.getpid()))
@@ -69,6 +73,10 @@ class ServiceManager:
                 self.alive()
 
     def _send(self, text: str) -> None:
+        if self._descriptor is not None:
+            with contextlib.suppress(OSError):
+                os.write(self._descriptor, text.encode())
+            return
         if not self._address:
             return
         # A manager that does not listen must not hold up the service.

@@ -5,6 +5,7 @@ import socket
 from service.feature_folders import modules
 from service.site.configuration import SettingsError
 from service.site.settings import Settings
+from service.worker_pools import why_no_worker
 
 
 def environment_errors(settings: Settings) -> list[str]:
@@ -36,6 +37,12 @@ def environment_errors(settings: Settings) -> list[str]:
     if settings.is_fleet:
         errors += _fleet_errors(settings)
     return errors
+
+
+def machine_warnings() -> list[str]:
+    """Say what a service does without on this machine, one line each."""
+    why = why_no_worker()
+    return [] if why is None else [f"no identification and no what-if forecast: {why}"]
 
 
 def _fleet_errors(settings: Settings) -> list[str]:

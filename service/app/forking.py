@@ -6,7 +6,7 @@ import multiprocessing
 import signal
 import socket
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from multiprocessing.context import ForkProcess
 
 from service.app.sides import begin_process
@@ -28,10 +28,10 @@ def preload() -> None:
 
 
 def start(
-    work: Callable[..., None], arguments: tuple[object, ...], listener: socket.socket | None
+    work: Callable[..., None], arguments: tuple[object, ...], kept: Sequence[socket.socket] = ()
 ) -> ForkProcess:
-    """Start a process that has of this one what is loaded, and of its sockets the listener only."""
-    process = _CONTEXT.Process(target=begin_process, args=(work, arguments, listener))
+    """Start a process that has of this one what is loaded, and of its sockets the kept ones."""
+    process = _CONTEXT.Process(target=begin_process, args=(work, arguments, kept))
     # A signal for the new process must not reach the loop of this one, whose socket it still has.
     signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
     try:

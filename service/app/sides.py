@@ -16,7 +16,7 @@ import ssl
 import stat
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -123,7 +123,7 @@ def tls_of(settings: Settings) -> ssl.SSLContext | None:
 
 
 def begin_process(
-    work: Callable[..., None], arguments: tuple[object, ...], listener: socket.socket | None
+    work: Callable[..., None], arguments: tuple[object, ...], kept: Sequence[socket.socket]
 ) -> None:
     """Begin the process of a side, made by a fork of the supervisor, and do its work.
 
@@ -133,12 +133,12 @@ def begin_process(
     signal.set_wakeup_fd(-1)
     for name in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(name, signal.SIG_DFL)
-    kept = -1 if listener is None else listener.fileno()
+    numbers = {0, 1, 2, *(one.fileno() for one in kept)}
     nothing = os.open(os.devnull, os.O_RDWR | os.O_CLOEXEC)
     for file in Path("/proc/self/fd").iterdir():
         with contextlib.suppress(OSError):  # the one of this very look
             number = int(file.name)
-            if number not in (0, 1, 2, kept) and stat.S_ISSOCK(os.fstat(number).st_mode):
+            if number not in numbers and stat.S_ISSOCK(os.fstat(number).st_mode):
                 # Not closed: objects that still know the number must not meet another file.
                 os.dup2(nothing, number, inheritable=False)
     signal.pthread_sigmask(signal.SIG_SETMASK, ())

@@ -13,12 +13,10 @@ import asyncio
 import contextlib
 import os
 import socket
-import tempfile
 import time
 from collections.abc import AsyncIterator, Callable, Coroutine, Iterator, Sequence
 from functools import partial
 from multiprocessing.context import ForkProcess
-from pathlib import Path
 from typing import Any
 
 import structlog
@@ -75,7 +73,6 @@ class Side:
         self,
         name: SideName,
         settings: Settings,
-        folder: Path,
         listener: "asyncio.Future[socket.socket] | None" = None,
         work: Callable[..., None] = side_process,
         silent_s: float = SILENT_S,
@@ -88,7 +85,6 @@ class Side:
         self._before: Settings | None = None  # until the side has started with the present ones
         self._changing = False
         self._listener = listener
-        self._address = str(folder / name)
         self._process: ForkProcess | None = None
         self._stopping = asyncio.Event()
         self._gone = asyncio.Event()
@@ -103,9 +99,9 @@ class Side:
         """
         listener = None if self._listener is None else await asyncio.shield(self._listener)
         retry_s = 0.0
-        with self._reports(on_report):
+        with self._reports(on_report) as outlet:
             while not self._stopping.is_set():
-                status = await self._run_once(listener)
+                status = await self._run_once(listener, outlet)
                 if self._stopping.is_set():
                     return
                 if self._changing:
@@ -174,9 +170,9 @@ class Side:
         """Let its silence begin now: what it said before may not have been heard."""
         self._silence = SilentTime(time.monotonic())
 
-    async def _run_once(self, listener: socket.socket | None) -> int:
+    async def _run_once(self, listener: socket.socket | None, outlet: socket.socket) -> int:
         environment = {
-            "NOTIFY_SOCKET": self._address,
+            "NOTIFY_SOCKET": f"fd:{outlet.fileno()}",
             "WATCHDOG_USEC": str(round(min(HUNG_S, self.silent_limit_s) * 1e6)),
         }
         preload()
@@ -184,7 +180,9 @@ class Side:
         self._gone.clear()
         try:
             process = self._process = start(
-                self._work, (self.name, self._settings, environment, listener), listener
+                self._work,
+                (self.name, self._settings, environment, listener),
+                [outlet] if listener is None else [outlet, listener],
             )
             await ended(process)
             process.join()
@@ -193,8 +191,8 @@ class Side:
         return process.exitcode or 0
 
     @contextlib.contextmanager
-    def _reports(self, on_report: Callable[[SideName, str], None]) -> Iterator[None]:
-        """Listen for what the side reports."""
+    def _reports(self, on_report: Callable[[SideName, str], None]) -> Iterator[socket.socket]:
+        """Listen for what the side reports; gives the socket that its process reports by."""
         loop = asyncio.get_running_loop()
 
         def take() -> None:
@@ -207,11 +205,13 @@ class Side:
                         self._before = None
                     on_report(self.name, report)
 
-        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as inbox:
-            inbox.bind(self._address)
+        # Who does not listen must not hold up who reports.
+        kind = socket.SOCK_DGRAM | socket.SOCK_NONBLOCK
+        inbox, outlet = socket.socketpair(socket.AF_UNIX, kind)
+        with inbox, outlet:
             loop.add_reader(inbox, take)
             try:
-                yield
+                yield outlet
             finally:
                 loop.remove_reader(inbox)
 
@@ -238,23 +238,22 @@ async def supervise(
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if not is_loopback(settings.service.host):
         await _refuse_without_key(settings)
-    with tempfile.TemporaryDirectory(prefix="bearing-twin-") as folder:
-        cell, web, *plant = sides_of(settings)
-        sides = [Side(cell, settings, Path(folder))]
-        listening = asyncio.ensure_future(listen(sides[0].is_ready))
-        sides.append(Side(web, settings, Path(folder), listening))
-        sides += [Side(name, settings, Path(folder)) for name in plant]
-        try:
-            await run_sides(
-                sides,
-                manager=manager,
-                on_ready=on_ready,
-                stop=stop,
-                reload=partial(_read_again, settings, sides),
-            )
-        finally:
-            listening.cancel()
-            await asyncio.gather(listening, return_exceptions=True)
+    cell, web, *plant = sides_of(settings)
+    sides = [Side(cell, settings)]
+    listening = asyncio.ensure_future(listen(sides[0].is_ready))
+    sides.append(Side(web, settings, listening))
+    sides += [Side(name, settings) for name in plant]
+    try:
+        await run_sides(
+            sides,
+            manager=manager,
+            on_ready=on_ready,
+            stop=stop,
+            reload=partial(_read_again, settings, sides),
+        )
+    finally:
+        listening.cancel()
+        await asyncio.gather(listening, return_exceptions=True)
 
 
 async def run_sides(
@@ -362,7 +361,7 @@ async def _refuse_without_key(settings: Settings) -> None:
 
     Raises `SideEndedError` if no key is valid.
     """
-    process = start(key_check_process, (settings,), None)
+    process = start(key_check_process, (settings,))
     try:
         async with asyncio.timeout(_KEY_CHECK_S):
             await ended(process)

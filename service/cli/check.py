@@ -31,7 +31,7 @@ def check(
     was changed in the store. A serial port can be read only while the service does not run.
     """
     # Imported here: the field libraries take a second to load, which --help should not pay.
-    from service.app.checking import environment_errors, ports_in_use
+    from service.app.checking import environment_errors, machine_warnings, ports_in_use
     from service.ingest.probing import probe, unit_doubts
     from service.logs import configure_logging
     from service.plant.publishers import warnings as publisher_warnings
@@ -53,6 +53,7 @@ def check(
         warnings += [where + line for line in unknown]
     else:
         warnings.append(f"{where}the assets in the store were not checked: see the errors")
+    warnings += machine_warnings()
     probed = asyncio.run(probe(found.wiring))
     errors += [where + line for line in probed.problems]
     warnings += [where + line for line in probed.warnings]

@@ -64,6 +64,8 @@ def serve(
     """
     # Imported here: drivers and store take a second to load, which --help should not pay.
     with loading():
+        from service.app.checking import machine_warnings
+        from service.app.work_folders import use_work_folders
         from service.plant.publishers import warnings as publisher_warnings
         from service.site.examination import load_site
 
@@ -72,7 +74,8 @@ def serve(
     begin_file(config)
     settings, warnings = load_site(config)
     lines = [*publisher_warnings(settings), *readable_secrets(config)]
-    warnings += tuple(f"{config}: {line}" for line in lines)
+    warnings += (*(f"{config}: {line}" for line in lines), *machine_warnings())
+    use_work_folders(settings.data_dir)
     configure_logging()
     status = asyncio.run(_serve(settings, warnings, only, one_process))
     leave_threads_behind()

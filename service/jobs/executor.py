@@ -7,13 +7,14 @@ import os
 import signal
 import threading
 from collections.abc import Awaitable, Callable
-from concurrent.futures import Executor, ProcessPoolExecutor
+from concurrent.futures import Executor
 from typing import TypeVar
 
 import numba
 
 from service.domain.errors import BearingTwinError
 from service.loading import load_numba
+from service.worker_pools import make_pool
 
 PROGRESS_EVERY_WALL_S = 0.4
 #: Wall seconds without a sign of life after which a worker hangs. Its signs come many times a
@@ -28,18 +29,8 @@ class WorkerStalledError(BearingTwinError, RuntimeError):
 
 
 def make_executor() -> Executor:
-    """Make a pool with one worker process.
-
-    The worker is spawned, not forked: the service has threads and sockets that must not be shared.
-    """
-    # For the worker, which loads its libraries again: many small matrices, where threads only wait
-    # for each other.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    return ProcessPoolExecutor(
-        max_workers=1,
-        mp_context=multiprocessing.get_context("spawn"),
-        initializer=prepare_worker,
-    )
+    """Make a pool with one worker process. Raises `NoWorkerError`."""
+    return make_pool(prepare_worker)
 
 
 def end_executor(executor: Executor) -> None:

@@ -2,12 +2,10 @@
 
 import asyncio
 import contextlib
-import multiprocessing
-import os
 import time
 from collections.abc import Callable
-from concurrent.futures import Executor, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from functools import partial
 from typing import Any, Final, TypeVar
 
 from anyio import to_thread
@@ -20,6 +18,7 @@ from service.site.settings import Settings
 from service.store import Store
 from service.web import worker
 from service.web.what_if_worker import WhatIfWorker
+from service.worker_pools import make_pool
 
 #: A worker for studies that has had nothing to do for so many wall seconds ends: it holds some
 #: hundred megabytes.
@@ -37,17 +36,7 @@ class WorkerQuestions:
     def __init__(self, settings: Settings, store: Store) -> None:
         self._store = store
 
-        def make_executor() -> Executor:
-            # For the worker, which loads its libraries again: many small matrices, where threads
-            # only wait for each other.
-            os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-            return ProcessPoolExecutor(
-                max_workers=1,
-                mp_context=multiprocessing.get_context("spawn"),
-                initializer=worker.prepare,
-                initargs=(settings,),
-            )
-
+        make_executor = partial(make_pool, worker.prepare, (settings,))
         self._what_ifs = WhatIfWorker(make_executor)
         self._studies = WhatIfWorker(make_executor)
         self._asked_s = self._studied_s = time.monotonic()

@@ -8,6 +8,8 @@ from typing import Any, TypeVar
 
 import structlog
 
+from service.worker_pools import NoWorkerError
+
 Result = TypeVar("Result")
 
 _log = structlog.get_logger(__name__)
@@ -26,16 +28,23 @@ class WhatIfWorker(Executor):
         return self._executor is not None
 
     def submit(self, fn: Callable[..., Result], /, *args: Any, **kwargs: Any) -> "Future[Result]":
-        """Have a function called in the process; it and its arguments must be picklable."""
+        """Have a function called in the process; it and its arguments must be picklable.
+
+        Raises `NoWorkerError` where no process can be started.
+        """
         if self._executor is None:
             self._executor = self._make_executor()
         try:
-            return self._executor.submit(fn, *args, **kwargs)
-        except BrokenProcessPool:
-            _log.warning("what_if_worker_replaced")
-            self._executor.shutdown(wait=False)
-            self._executor = self._make_executor()
-            return self._executor.submit(fn, *args, **kwargs)
+            try:
+                return self._executor.submit(fn, *args, **kwargs)
+            except BrokenProcessPool:
+                _log.warning("what_if_worker_replaced")
+                self._executor.shutdown(wait=False)
+                self._executor = self._make_executor()
+                return self._executor.submit(fn, *args, **kwargs)
+        except OSError as error:  # no room for a process
+            self.shutdown(cancel_futures=True)
+            raise NoWorkerError(error) from error
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """End the process, also in the middle of a task: no caller waits for its answer."""

@@ -1,6 +1,10 @@
 """How long the faults last, and the table of what became of the samples."""
 
+import functools
+import shutil
+import subprocess
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import NamedTuple
 
 import pytest
@@ -28,6 +32,23 @@ def hall(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hall]:
     """One hall for all tests that leave it running: a start takes longer than most faults."""
     with Hall(tmp_path_factory.mktemp("hall")).running() as hall:
         yield hall
+
+
+@pytest.fixture(scope="session")
+def preloaded(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], str]:
+    """Compile what stands between a service and the C library: the value of LD_PRELOAD."""
+
+    @functools.cache
+    def made(name: str) -> str:
+        compiler = shutil.which("cc")
+        assert compiler is not None, "a C compiler is needed: apt-get install gcc libc6-dev"
+        library = tmp_path_factory.mktemp("library") / f"{name}.so"
+        source = Path(__file__).with_name(f"{name}.c")
+        command = [compiler, "-shared", "-fPIC", "-O1", "-Wall", "-Werror", "-o", str(library)]
+        subprocess.run([*command, str(source), "-ldl"], check=True)
+        return str(library)
+
+    return made
 
 
 @pytest.fixture

@@ -3,9 +3,7 @@
 `bad_sectors.c` stands between the service and the C library and refuses the bytes of a list.
 """
 
-import shutil
-import subprocess
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -99,17 +97,6 @@ class Pushing(Station):
         return (self.folder / "serve.log").read_text()
 
 
-@pytest.fixture(scope="module")
-def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    compiler = shutil.which("cc")
-    assert compiler is not None, "a C compiler is needed: apt-get install gcc libc6-dev"
-    made = tmp_path_factory.mktemp("library") / "bad_sectors.so"
-    source = Path(__file__).with_name("bad_sectors.c")
-    command = [compiler, "-shared", "-fPIC", "-O1", "-Wall", "-Werror", "-o", str(made)]
-    subprocess.run([*command, str(source)], check=True)
-    return made
-
-
 @pytest.fixture
 def disk(tmp_path: Path) -> Disk:
     return Disk(tmp_path)
@@ -117,10 +104,10 @@ def disk(tmp_path: Path) -> Disk:
 
 @pytest.fixture
 def pushing(
-    tmp_path: Path, disk: Disk, library: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, disk: Disk, preloaded: Callable[[str], str], monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[Pushing]:
     with Pushing(tmp_path) as station:
-        monkeypatch.setenv("LD_PRELOAD", str(library))
+        monkeypatch.setenv("LD_PRELOAD", preloaded("bad_sectors"))
         monkeypatch.setenv("BAD_SECTORS", str(disk.list))
         station.start_service()
         monkeypatch.undo()

@@ -3,10 +3,8 @@
 `clock_set.c` stands between the service and the C library and adds seconds to the system clock.
 """
 
-import shutil
-import subprocess
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -58,21 +56,12 @@ class Site(Station):
         return "" if found is None else str(found["state"])
 
 
-@pytest.fixture(scope="module")
-def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    compiler = shutil.which("cc")
-    assert compiler is not None, "a C compiler is needed: apt-get install gcc libc6-dev"
-    made = tmp_path_factory.mktemp("library") / "clock_set.so"
-    source = Path(__file__).with_name("clock_set.c")
-    command = [compiler, "-shared", "-fPIC", "-O1", "-Wall", "-Werror", "-o", str(made)]
-    subprocess.run([*command, str(source), "-ldl"], check=True)
-    return made
-
-
 @pytest.fixture
-def site(tmp_path: Path, library: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Site]:
+def site(
+    tmp_path: Path, preloaded: Callable[[str], str], monkeypatch: pytest.MonkeyPatch
+) -> Iterator[Site]:
     with Site(tmp_path) as site:
-        monkeypatch.setenv("LD_PRELOAD", str(library))
+        monkeypatch.setenv("LD_PRELOAD", preloaded("clock_set"))
         monkeypatch.setenv("CLOCK_SET", str(site.clock))
         yield site
 

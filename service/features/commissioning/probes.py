@@ -1,14 +1,13 @@
 """Runs what asks strange devices and files: in one worker process, one at a time, for a time."""
 
 import asyncio
-import multiprocessing
 from collections.abc import Callable
-from concurrent.futures import Executor, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any, Final, TypeVar
 
 from service.web.shares import BusyError
 from service.web.what_if_worker import WhatIfWorker
+from service.worker_pools import NoWorkerError, make_pool
 
 #: Wall seconds that a probe may take, with the start of its process.
 LIMIT_S: Final = 30.0
@@ -24,7 +23,7 @@ class Probes:
     """The worker process; it begins with the first probe, and ends when it is idle."""
 
     def __init__(self) -> None:
-        self._worker = WhatIfWorker(_make_executor)
+        self._worker = WhatIfWorker(make_pool)
         self._turn = asyncio.Lock()
         self._waiting = 0
         self._ending: asyncio.TimerHandle | None = None
@@ -57,13 +56,11 @@ class Probes:
             raise
         except BrokenProcessPool as error:
             raise BusyError("the process that asks the devices has died") from error
+        except NoWorkerError as error:
+            raise BusyError(str(error)) from error
         finally:
             self._ending = asyncio.get_running_loop().call_later(IDLE_S, self.close)
 
     def close(self) -> None:
         """End the process, also in the middle of a probe."""
         self._worker.shutdown()
-
-
-def _make_executor() -> Executor:
-    return ProcessPoolExecutor(max_workers=1, mp_context=multiprocessing.get_context("spawn"))

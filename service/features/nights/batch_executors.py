@@ -10,6 +10,7 @@ from service.features.nights.batches import run_batch
 from service.jobs.executor import STALLED_AFTER_WALL_S as JOB_STALLED_AFTER_WALL_S
 from service.jobs.executor import make_executor
 from service.jobs.workers import Workers
+from service.worker_pools import NoWorkerError
 
 #: A worker that has a batch for longer hangs; the first one may begin with compiling all kernels.
 STALLED_AFTER_WALL_S: Final = 2 * JOB_STALLED_AFTER_WALL_S
@@ -91,6 +92,9 @@ class ProcessBatches:
                 self.workers_lost += 1
                 worker.end()
                 raise BatchFailedError(HANGS) from error
+            except (NoWorkerError, OSError) as error:
+                worker.end()
+                raise BatchFailedError(str(error)) from error
 
     def end(self) -> None:
         """End all processes at once."""

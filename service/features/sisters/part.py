@@ -29,6 +29,7 @@ from service.site.machines.packed_rows import pack_rows
 from service.store import NotOwnerError, Store, StoreUnavailableError
 from service.store.sister_records import SisterRecord
 from service.tasks import Part
+from service.worker_pools import NoWorkerError
 from twin_core.identification.data import IdentificationData
 from twin_core.identification.posterior import Posterior
 from twin_core.windows import MinuteData, Window
@@ -138,7 +139,7 @@ class Teaching(Part):
         order = TeachingOrder(folder, machine_of(asset), data)
         try:
             found = await self._computed(order)
-        except (BrokenProcessPool, WorkerStalledError) as error:
+        except (BrokenProcessPool, NoWorkerError, WorkerStalledError) as error:
             found = str(error) or type(error).__name__
         if found is None:
             return False

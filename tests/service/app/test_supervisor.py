@@ -40,7 +40,6 @@ class Supervised:
             Side(
                 name,
                 settings,
-                folder,
                 listening if name == "web" else None,
                 work=work,
                 silent_s=silent_s,

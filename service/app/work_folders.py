@@ -1,0 +1,30 @@
+"""Where a service has its compiled kernels and its temporary files."""
+
+import os
+import tempfile
+from pathlib import Path
+
+import twin_core
+
+
+def use_work_folders(data_dir: Path) -> None:
+    """Let the data directory take the place of usual folders that cannot be written.
+
+    Without a folder for kernels each process would compile them for itself: half a minute at every
+    start, with every job and before the first what-if forecast. Without one for temporary files the
+    store could not sort much. Holds for processes and libraries that begin after it.
+    """
+    try:
+        tempfile.gettempdir()
+    except FileNotFoundError:
+        os.environ["TMPDIR"] = str(data_dir.resolve())
+    named = os.environ.get("NUMBA_CACHE_DIR")
+    usual = Path(named) if named else Path(twin_core.__file__).parent / "simulation" / "__pycache__"
+    if not _can_write(usual):
+        os.environ["NUMBA_CACHE_DIR"] = str(data_dir.resolve() / "kernels")
+
+
+def _can_write(folder: Path) -> bool:
+    while not folder.exists() and folder != folder.parent:
+        folder = folder.parent
+    return folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)
