@@ -84,6 +84,11 @@ def is_scaled(config: Scaled) -> bool:
     return bool({"scale", "offset"} & config.model_fields_set)
 
 
+def needs_unit(config: Scaled, ours: str) -> bool:
+    """Whether values depend on the unit that a source states."""
+    return ours in _KNOWN and not is_scaled(config)
+
+
 def factors_of(config: Scaled, ours: str, theirs: str) -> tuple[float, float]:
     """Scale and offset as configured, else those of the stated unit.
 

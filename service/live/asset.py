@@ -204,6 +204,8 @@ class AssetRuntime:
         self.documents.settings_changed(settings)
         self._publishing.verdict_due = True
         if limits_changed:
+            if self._waits is not None:
+                self._waits["called_steps"] = []
             self._forecasts.forecasting.change_limits(settings.limits)
             self._forecasts.want()
 
@@ -279,6 +281,13 @@ class AssetRuntime:
         except ValueError as error:
             _log.warning("estimate_not_restored", asset=self.id, reason=str(error))
 
+    def used(self, now_us: int, means: Mapping[str, float]) -> Mapping[str, float]:
+        """Give what a step uses: the first one also what came before and is still good."""
+        if self.estimate.started:
+            return means
+        good = {name: self.readings.good_value(name, now_us) for name in self.readings.latest}
+        return {name: value for name, value in good.items() if value is not None} | dict(means)
+
     def stepped(self, now_us: int, failure: Exception | None) -> Reference | None:
         """Record a step of the estimate; gives the model alone where that must be advanced too.
 
@@ -305,7 +314,7 @@ class AssetRuntime:
         with self._watching():
             trusted = _is_trusted(self._estimating, self._forecasts)
             self._watch.step(now_us, means, trusted)
-        if self.estimate.started:
+        if self._had_started and self.estimate.started:
             self._publishing.stepped(now_us, self.estimate, bool(self._blind))
 
     def _note_step(self, failure: Exception | None) -> None:
@@ -346,7 +355,12 @@ class AssetRuntime:
         before
             A twin of the same machine that does not run any more.
         """
-        return await self.saving.take_over(before.saving) or before._waits
+        taken = await self.saving.take_over(before.saving)
+        if taken is None and before._waits is not None:
+            watched = before._waits.get("watch") or KeptWatch()
+            watched["spoken"] = before._watch.spoken
+            taken = KeptState(**{**before._waits, "watch": watched})
+        return taken
 
 
 # What the parts of a runtime ask is no method of it: a twin that has ended goes at once then, and

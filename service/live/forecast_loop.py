@@ -83,7 +83,8 @@ class ForecastLoop:
                 async with asyncio.timeout(period_wall_s):
                     await self._wanted.wait()
             self._wanted.clear()
-            if self.forecasting.has_begun:
+            # What was kept is of the time before the start: its first step comes first.
+            if self.forecasting.has_begun and not self.is_first:
                 with self._guard():
                     await self._once(made)
             await asyncio.sleep(FORECAST_LEAST_WALL_S)

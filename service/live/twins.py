@@ -124,7 +124,11 @@ def _estimate(
     runtimes: Sequence[AssetRuntime], now_us: int, means: Sequence[Mapping[str, float]]
 ) -> None:
     """Advance the estimates of those that have what they are computed with."""
-    due = [(one, given) for one, given in zip(runtimes, means, strict=True) if one.estimates]
+    due = [
+        (one, one.used(now_us, given))
+        for one, given in zip(runtimes, means, strict=True)
+        if one.estimates
+    ]
     failures = step_together([one.estimate for one, _ in due], now_us, [given for _, given in due])
     advance_together(
         [one.stepped(now_us, failure) for (one, _), failure in zip(due, failures, strict=True)]

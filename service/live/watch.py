@@ -221,9 +221,14 @@ class AlarmWatch:
         """Write into the journal that the machine has changed."""
         self._book.record_event(self._settings.id, "model drift", text)
 
+    @property
+    def spoken(self) -> list[str]:
+        """Channels that have ever sent something."""
+        return self._sources.spoken
+
     def to_dict(self) -> KeptWatch:
         """Return what the rules have learnt, as plain JSON types."""
-        return {**self._comparison.to_dict(), "spoken": self._sources.spoken}
+        return {**self._comparison.to_dict(), "spoken": self.spoken}
 
     def restore_sources(self, kept: KeptWatch) -> None:
         """Take up which channels had sent something, from what `to_dict` gave."""

@@ -1,15 +1,19 @@
 """What a server says of the units of its nodes, however it takes the question."""
 
 import asyncio
+import struct
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from asyncua import ua
+from asyncua.client.ua_client import UaClientState
 
 from adapters.drivers.opcua.config import OpcUaChannel, OpcUaSource
 from adapters.drivers.opcua.driver import OpcUaDriver
+from adapters.drivers.opcua.session import Session, SessionError
 from adapters.drivers.opcua.units import StatedUnits, stated_units
-from adapters.drivers.opcua.values import moment_of
+from adapters.drivers.opcua.values import STANDS, moment_of
 from adapters.protocol import ChannelBinding
 from adapters.samples import Quality
 
@@ -36,8 +40,12 @@ class Server:
         properties: dict[int, int] | None = None,
     ) -> None:
         self.refusal, self.paths, self.properties = refusal, paths or {}, properties or {}
+        self.unit: Any = ua.EUInformation(DisplayName=ua.LocalizedText("K"))
+        self.spoiling = 0
+        self.asked = 0
 
     async def translate_browsepaths_to_nodeids(self, paths: list[Any]) -> list[Any]:
+        self.asked += 1
         if self.refusal is not None:
             raise self.refusal
         if len(paths) > 2:
@@ -51,11 +59,14 @@ class Server:
         return found
 
     async def read(self, request: Any) -> list[Any]:
-        unit = ua.EUInformation(DisplayName=ua.LocalizedText("K"))
+        if self.spoiling and self.spoiling in {
+            item.NodeId.Identifier for item in request.NodesToRead
+        }:
+            raise struct.error
         found = []
         for item in request.NodesToRead:
             status = ua.StatusCode(self.properties.get(item.NodeId.Identifier, 0))
-            value = ua.Variant(unit) if status.is_good() else None
+            value = ua.Variant(self.unit) if status.is_good() else None
             found.append(ua.DataValue(value, StatusCode=status))
         return found
 
@@ -88,6 +99,48 @@ async def test_an_odd_status_of_one_node_leaves_that_alone_without_an_answer(
     found = await stated_units(server, NODES)
     assert found.unanswered == {OTHER: status}
     assert found.units == {name: "K" for name in NODES if name != OTHER}
+
+
+async def test_one_node_that_spoils_an_answer_leaves_the_others_theirs() -> None:
+    server = Server()
+    server.spoiling = 3
+    found = await stated_units(server, NODES)
+    assert list(found.unanswered) == ["ns=2;i=3"]
+    assert found.units == {name: "K" for name in NODES if name != "ns=2;i=3"}
+
+
+@pytest.mark.parametrize(
+    ("unit", "expected"),
+    [
+        (ua.EUInformation(UnitId=4932940), "K"),
+        (ua.EUInformation(UnitId=4338743), "kN"),
+        (ua.EUInformation(UnitId=5067851), "unit 5067851"),
+        (ua.EUInformation(UnitId=-1), ""),
+        (ua.EUInformation(), ""),
+        (None, ""),
+        (1.0, ""),
+    ],
+)
+async def test_a_unit_without_a_name_is_known_by_its_number(unit: Any, expected: str) -> None:
+    server = Server()
+    server.unit = unit
+    assert await stated_units(server, NODES) == StatedUnits(dict.fromkeys(NODES, expected))
+
+
+async def test_a_server_that_does_not_answer_is_asked_once() -> None:
+    server = Server(TimeoutError())
+    nodes = {f"ns=2;i={number}": ua.NodeId(number, 2) for number in range(3000)}
+    assert (await stated_units(server, nodes)).unanswered == dict.fromkeys(nodes, "no answer")
+    assert server.asked == 1
+
+
+async def test_a_server_that_fails_at_everything_is_not_asked_for_each_node() -> None:
+    server = Server(ua.uaerrors.BadInternalError())
+    nodes = {f"ns=2;i={number}": ua.NodeId(number, 2) for number in range(3000)}
+    assert (await stated_units(server, nodes)).unanswered == dict.fromkeys(
+        nodes, "BadInternalError"
+    )
+    assert server.asked < 50
 
 
 async def test_a_server_without_the_service_states_none() -> None:
@@ -127,32 +180,72 @@ class Clock:
         await asyncio.sleep(process_seconds)
 
 
-def test_a_value_is_good_only_while_its_unit_is_known() -> None:
+def driver_of(*channels: OpcUaChannel) -> OpcUaDriver:
     source = OpcUaSource(name="plc", endpoint="opc.tcp://127.0.0.1:1/plc")
-    channels = [
-        ChannelBinding("bench", "t_a_c", OpcUaChannel(source="plc", node=NODE), "°C"),
-        ChannelBinding("bench", "t_b_c", OpcUaChannel(source="plc", node=OTHER, scale=0.1), "°C"),
+    bindings = [
+        ChannelBinding("bench", f"t_{number}_c", channel, "°C")
+        for number, channel in enumerate(channels)
     ]
-    driver = OpcUaDriver(source, channels, [], Clock())
-    moment = moment_of(NOW_US)
+    return OpcUaDriver(source, bindings, [], Clock())
+
+
+def value_of(number: float) -> ua.DataValue:
+    return ua.DataValue(ua.Variant(number), SourceTimestamp=moment_of(NOW_US))
+
+
+def test_a_value_is_good_only_while_its_unit_is_known() -> None:
+    driver = driver_of(
+        OpcUaChannel(source="plc", node=NODE), OpcUaChannel(source="plc", node=OTHER, scale=0.1)
+    )
 
     def taken(*stated: dict[str, str]) -> dict[str, tuple[float, int]]:
         driver._take_units(StatedUnits(*stated))
-        value = ua.DataValue(ua.Variant(300.0), SourceTimestamp=moment)
+        value = value_of(300.0)
         found = driver._take([(NODE, value), (OTHER, value)], stands=True)
         return {one.channel: (round(one.value, 2), one.quality) for one in found}
 
     silent = dict.fromkeys((NODE, OTHER), "BadTimeout")
     good, uncertain = int(Quality.GOOD), int(Quality.UNCERTAIN)
-    assert taken({}, silent) == {"t_a_c": (300.0, uncertain), "t_b_c": (30.0, good)}
+    assert taken({}, silent) == {"t_0_c": (300.0, uncertain), "t_1_c": (30.0, good)}
     reason = "the server does not say its unit: BadTimeout; expected one, or scale"
-    assert driver.health().problems == {"bench/t_a_c": reason}
+    assert driver.health().problems == {"bench/t_0_c": reason}
     # The value itself need not change for it.
     assert taken(dict.fromkeys((NODE, OTHER), "K")) == {
-        "t_a_c": (26.85, good),
-        "t_b_c": (30.0, good),
+        "t_0_c": (26.85, good),
+        "t_1_c": (30.0, good),
     }
     assert driver.health().problems == {}
     # Its unit of before is the best that is known.
-    assert taken({}, silent)["t_a_c"] == (26.85, uncertain)
-    assert taken(dict.fromkeys((NODE, OTHER), ""))["t_a_c"] == (300.0, good)
+    for unknown in ({}, silent), (dict.fromkeys((NODE, OTHER), ""),):
+        assert taken(*unknown)["t_0_c"] == (26.85, uncertain)
+    assert taken(dict.fromkeys((NODE, OTHER), "°C"))["t_0_c"] == (300.0, good)
+
+
+def test_a_unit_that_becomes_known_ends_no_other_doubt() -> None:
+    driver = driver_of(OpcUaChannel(source="plc", node=NODE))
+    for number in range(3):  # the time of its source stands still
+        (sample,) = driver._take([(NODE, value_of(300.0 + number))], stands=True)
+    assert driver.health().problems == {"bench/t_0_c": STANDS}
+    driver._take_units(StatedUnits({NODE: "K"}))
+    (sample,) = driver._take([(NODE, value_of(302.0))], stands=True)
+    assert (round(sample.value, 2), sample.quality) == (28.85, Quality.UNCERTAIN)
+
+
+async def test_only_units_that_matter_are_asked_for() -> None:
+    scaled = OpcUaChannel(source="plc", node=OTHER, scale=0.1)
+    driver = driver_of(OpcUaChannel(source="plc", node=NODE), scaled)
+    driver._points[0].unit = ""
+    await driver._ask_first(Session(driver._source))
+    assert driver._asking is None
+
+
+async def test_a_question_that_ends_the_connection_ends_the_session() -> None:
+    driver = driver_of(OpcUaChannel(source="plc", node=NODE))
+    session = Session(driver._source)
+    session._nodes = dict(NODES)
+    client = Server(ua.uaerrors.BadTcpMessageTooLarge())
+    session._client = SimpleNamespace(uaclient=client)
+    client.state = UaClientState.DISCONNECTED
+    with pytest.raises(SessionError, match="BadTcpMessageTooLarge"):
+        await driver._ask_first(session)
+    assert session.lost == "BadTcpMessageTooLarge"

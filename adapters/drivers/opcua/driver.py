@@ -1,11 +1,10 @@
 """The OPC UA driver: subscribes, comes back after a loss, and fetches what was missed."""
 
 import asyncio
-import contextlib
 import logging
 import math
 import time
-from collections.abc import AsyncIterator, Collection, Sequence
+from collections.abc import AsyncIterator, Mapping, Sequence
 from dataclasses import replace
 from types import TracebackType
 from typing import Any, Self
@@ -18,7 +17,7 @@ from adapters.drivers.opcua.units import StatedUnits
 from adapters.drivers.opcua.values import FollowedNode, compared, moment_of
 from adapters.protocol import ChannelBinding, Clock, PlanBinding, SourceHealth
 from adapters.samples import Batch, Quality, Sample, is_bad, is_good, next_time_us
-from adapters.units import UnitError, factors_of, is_scaled
+from adapters.units import UnitError, factors_of, needs_unit
 
 logger = logging.getLogger(__name__)
 
@@ -30,7 +29,8 @@ LOG_INTERVAL_S = 10.0  # between two lines on the same channel
 HISTORY_WAITS = 4  # answers of the history that wait to be handed over
 PORTION = 1000  # samples of the history that are handed over at once
 MOST_GAPS = 16  # of a channel that wait for the server's history
-# A server that does not say its units is asked again.
+# A server that does not say its units is asked again; values wait for its first answer so long.
+UNITS_WAIT_S = 2.0
 UNITS_AGAIN_FIRST_S, UNITS_AGAIN_LAST_S = 10.0, 600.0
 
 
@@ -68,10 +68,11 @@ class OpcUaDriver:
         self._filling: asyncio.Task[None] | None = None
         self._history: asyncio.Queue[list[Sample]] = asyncio.Queue(HISTORY_WAITS)
         self._units: dict[str, str] = {}  # of nodes, as the server stated them last
-        self._unasked: Collection[str] = ()  # nodes of which it does not say whether they have one
+        self._unasked: list[str] = []  # nodes of which it does not say whether they have one
+        self._questions = 0  # that have been answered, well or not
         self._asking: asyncio.Task[None] | None = None
         self._ask_again = Backoff(UNITS_AGAIN_FIRST_S, UNITS_AGAIN_LAST_S)
-        self._ask_at = math.inf  # wall (monotonic) time
+        self._ask_at = -math.inf  # wall (monotonic) time
 
     @property
     def name(self) -> str:
@@ -130,8 +131,7 @@ class OpcUaDriver:
         """Connect, and yield what comes until the connection is lost."""
         session = self._session = Session(self._source)
         refused = await session.open(self._by_node)
-        self._ask_again.reset()
-        self._take_units(await session.stated_units(self._by_node))
+        await self._ask_first(session)
         if self._was_connected:
             self._health.reconnects += 1
             logger.info("source %s: reconnected", self.name)
@@ -167,27 +167,59 @@ class OpcUaDriver:
             self._begin_to_ask(session)
         raise SessionError(session.lost)
 
+    async def _ask_first(self, session: Session) -> None:
+        """Ask for the units of all nodes; a server that is slow to answer keeps no value back."""
+        self._ask_again.reset()
+        self._ask_at, self._questions = -math.inf, 0
+        followed = zip(self._points, self._given, strict=True)
+        asked = [given.node for point, given in followed if needs_unit(given, point.unit)]
+        self._doubt_units(dict.fromkeys(asked, "no answer yet"))
+        self._begin_to_ask(session)
+        if self._asking is not None:
+            await asyncio.wait({self._asking}, timeout=UNITS_WAIT_S)
+        if session.lost:
+            raise SessionError(session.lost)
+
+    def _begin_to_ask(self, session: Session) -> None:
+        """Ask for units that the server has not said, while values go on."""
+        is_asking = self._asking is not None and not self._asking.done()
+        if self._unasked and not is_asking and time.monotonic() >= self._ask_at:
+            self._asking = asyncio.create_task(self._ask(session))
+
+    async def _ask(self, session: Session) -> None:
+        self._ask_at = time.monotonic() + self._ask_again.next()
+        try:
+            self._take_units(await session.stated_units(self._unasked))
+        except SessionError as error:
+            session.lose(str(error))
+        self._questions += 1
+
     def _take_units(self, stated: StatedUnits) -> None:
         """Turn values into the channels' units; what cannot be turned is doubted."""
-        self._units |= stated.units
-        self._unasked = stated.unanswered
-        if stated.unanswered:
-            reason, wait_s = next(iter(stated.unanswered.values())), self._ask_again.next()
-            self._ask_at = time.monotonic() + wait_s
+        unanswered = dict(stated.unanswered)
+        for node, unit in stated.units.items():
+            before = self._units.get(node, "")
+            if before and not unit:  # it may be about to start
+                unanswered[node] = f"none now, {before!r} before"
+            else:
+                self._units[node] = unit
+        if unanswered:
             logger.info(
-                "source %s: the server does not say the units of %d nodes: %s; again in %.0f s",
-                *(self.name, len(stated.unanswered), reason, wait_s),
+                "source %s: the server does not say the units of %d nodes: %s",
+                *(self.name, len(unanswered), next(iter(unanswered.values()))),
             )
+        self._doubt_units(unanswered)
+
+    def _doubt_units(self, unanswered: Mapping[str, str]) -> None:
+        """Turn values by the units that are known, and doubt those whose unit is not."""
+        self._unasked = list(unanswered)
         for point, given in zip(self._points, self._given, strict=True):
-            if given.node not in stated.units and given.node not in stated.unanswered:
-                continue
-            unit = self._units.get(given.node, "")
             factors, doubt = (given.scale, given.offset), ""
             before = point.config, point.doubt
             try:
-                factors = factors_of(given, point.unit, unit)
-                if given.node in stated.unanswered and not is_scaled(given):
-                    why = stated.unanswered[given.node]
+                factors = factors_of(given, point.unit, self._units.get(given.node, ""))
+                if given.node in unanswered and needs_unit(given, point.unit):
+                    why = unanswered[given.node]
                     doubt = f"the server does not say its unit: {why}; expected one, or scale"
             except UnitError as error:
                 doubt = f"the server has it {error}, or scale"
@@ -195,18 +227,7 @@ class OpcUaDriver:
             point.config, point.doubt = given.model_copy(update=keys), doubt
             if before != (point.config, point.doubt):
                 # The same value counts as another one, and need not change for that.
-                point.source_us = point.heard_us = 0
-
-    def _begin_to_ask(self, session: Session) -> None:
-        """Ask again for units that the server did not say, while values go on."""
-        is_asking = self._asking is not None and not self._asking.done()
-        if self._unasked and not is_asking and time.monotonic() >= self._ask_at:
-            self._ask_at = math.inf
-            self._asking = asyncio.create_task(self._ask(session))
-
-    async def _ask(self, session: Session) -> None:
-        with contextlib.suppress(SessionError):  # the connection is lost: asked after the next one
-            self._take_units(await session.stated_units(self._unasked))
+                point.latest, point.heard_us = None, 0
 
     async def _wait(self, session: Session) -> None:
         """Wait for a notification; not for long, as history may come or a node fall silent."""
@@ -322,7 +343,9 @@ class OpcUaDriver:
     def _begin_to_fill_in(self, session: Session) -> None:
         if self._filling is not None and not self._filling.done():
             return
-        points = [point for point in self._points if point.gaps]
+        # What is fetched without its unit stays in doubt: two further questions come before.
+        waits = self._unasked if self._questions < 3 else []
+        points = [one for one in self._points if one.gaps and one.config.node not in waits]
         if points:
             self._filling = asyncio.create_task(self._fill_in(session, points))
 

@@ -5,12 +5,14 @@ import contextlib
 import hashlib
 import logging
 import os
+import struct
 from collections import deque
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 from asyncua import Client, ua
+from asyncua.client.ua_client import UaClientState
 from asyncua.crypto import uacrypto
 from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 from asyncua.ua.uaerrors import UaError
@@ -29,7 +31,10 @@ _QUEUE_OF_A_NODE = 100
 _CLOSE_S = 0.8
 _APPLICATION_URI = "urn:bearing-twin:client"
 
-WENT_WRONG = (OSError, asyncio.TimeoutError, UaError, asyncio.IncompleteReadError, ValueError)
+WENT_WRONG = (
+    *(OSError, asyncio.TimeoutError, asyncio.IncompleteReadError),
+    *(UaError, ValueError, struct.error),
+)
 """What the library raises when a server is away, hangs or talks nonsense."""
 
 
@@ -108,10 +113,15 @@ class Session:
     async def stated_units(self, nodes: Iterable[str]) -> StatedUnits:
         """Ask for the units of nodes that the server knows. Raises `SessionError`."""
         known = {name: self._nodes[name] for name in nodes if name in self._nodes}
+        client = self._client.uaclient
         try:
-            return await stated_units(self._client.uaclient, known)
+            found = await stated_units(client, known)
         except WENT_WRONG as error:
             raise SessionError(self._why(error)) from error
+        # A server that closes the connection has answered as one that cannot say it now.
+        if found.unanswered and client.state is not UaClientState.CONNECTED:
+            raise SessionError(next(iter(found.unanswered.values())))
+        return found
 
     async def history(self, node: str, begin: Any, end: Any) -> list[Any]:
         """Read the recorded values of a node, ends included. Raises `SessionError`."""
@@ -131,7 +141,7 @@ class Session:
 
     def status_change_notification(self, status: Any) -> None:
         """Record that the server has ended the subscription (the library's name)."""
-        self._lose(f"the server ended the subscription: {getattr(status, 'Status', status)}")
+        self.lose(f"the server ended the subscription: {getattr(status, 'Status', status)}")
 
     async def _connect(self) -> None:
         source = self._source
@@ -226,9 +236,10 @@ class Session:
         return ua.NodeId.from_string(name)
 
     async def _on_lost(self, error: BaseException) -> None:
-        self._lose("connection lost")
+        self.lose("connection lost")
 
-    def _lose(self, reason: str) -> None:
+    def lose(self, reason: str) -> None:
+        """Note why the connection is of no use any more."""
         self.lost = self.lost or reason
         self.changed.set()
 

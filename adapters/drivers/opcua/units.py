@@ -1,5 +1,6 @@
 """Units that an OPC UA server states of its nodes (Part 8, EngineeringUnits)."""
 
+import struct
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -8,12 +9,19 @@ from asyncua import ua
 from asyncua.ua.uaerrors import UaError
 
 NODES_PER_REQUEST = 500
-# What a server answers that states no units.
-_STATES_NONE = frozenset(
+# Questions that may fail before no further one is asked.
+_MOST_FAILURES = 40
+# What a server answers that knows no such question.
+_NO_SERVICE = frozenset(
     (
         ua.StatusCodes.BadServiceUnsupported,
         ua.StatusCodes.BadNotImplemented,
         ua.StatusCodes.BadNotSupported,
+    )
+)
+# What it answers of a node that has no unit, or none for us.
+_STATES_NONE = _NO_SERVICE | frozenset(
+    (
         ua.StatusCodes.BadUserAccessDenied,
         ua.StatusCodes.BadNotReadable,
         ua.StatusCodes.BadNoMatch,
@@ -24,6 +32,8 @@ _STATES_NONE = frozenset(
         ua.StatusCodes.BadNothingToDo,
     )
 )
+# Common codes of UNECE Recommendation 20, which a unit without a name has as its number.
+_UNECE = {"CEL": "°C", "KEL": "K", "FAH": "°F", "NEW": "N", "B47": "kN", "RPM": "rpm", "RPS": "1/s"}
 
 
 @dataclass
@@ -57,36 +67,38 @@ async def stated_units(client: Any, nodes: Mapping[str, Any]) -> StatedUnits:
     OSError
         If the connection is lost.
     """
-    found = StatedUnits()
     names = list(nodes)
-    for begin in range(0, len(names), NODES_PER_REQUEST):
-        part = {name: nodes[name] for name in names[begin : begin + NODES_PER_REQUEST]}
-        await _ask(client, part, found)
+    found, failures = StatedUnits(), 0
+    waiting = [names[at : at + NODES_PER_REQUEST] for at in range(0, len(names), NODES_PER_REQUEST)]
+    while waiting:
+        part = waiting.pop()
+        try:
+            answers = await _answers(client, {name: nodes[name] for name in part})
+        except (UaError, TimeoutError, ValueError, struct.error) as error:
+            failures += 1
+            code, reason = getattr(error, "code", None), _reason(error)
+            if isinstance(error, TimeoutError) or failures > _MOST_FAILURES:
+                # Each further question would take as long.
+                left = [*part, *(name for one in waiting for name in one)]
+                found.unanswered |= dict.fromkeys(left, reason)
+                break
+            if code not in _NO_SERVICE and len(part) > 1:
+                # Too many at once, or one of them that spoils the answer for all.
+                half = len(part) // 2
+                waiting += [part[half:], part[:half]]
+            elif code in _STATES_NONE:
+                found.units |= dict.fromkeys(part, "")
+            else:
+                found.unanswered |= dict.fromkeys(part, reason)
+            continue
+        for name, (status, unit) in answers.items():
+            if status is None or status.is_good():
+                found.units[name] = unit
+            elif status.value in _STATES_NONE:
+                found.units[name] = ""
+            else:
+                found.unanswered[name] = str(status.name)
     return found
-
-
-async def _ask(client: Any, nodes: Mapping[str, Any], found: StatedUnits) -> None:
-    names = list(nodes)
-    try:
-        answers = await _answers(client, nodes)
-    except (TimeoutError, UaError, ValueError) as error:
-        code = getattr(error, "code", None)
-        if code == ua.StatusCodes.BadTooManyOperations and len(names) > 1:
-            half = len(names) // 2
-            await _ask(client, {name: nodes[name] for name in names[:half]}, found)
-            await _ask(client, {name: nodes[name] for name in names[half:]}, found)
-        elif code in _STATES_NONE:
-            found.units |= dict.fromkeys(names, "")
-        else:
-            found.unanswered |= dict.fromkeys(names, _reason(error))
-        return
-    for name, (status, unit) in answers.items():
-        if status is None or status.is_good():
-            found.units[name] = unit
-        elif status.value in _STATES_NONE:
-            found.units[name] = ""
-        else:
-            found.unanswered[name] = str(status.name)
 
 
 async def _answers(client: Any, nodes: Mapping[str, Any]) -> dict[str, tuple[Any, str]]:
@@ -108,9 +120,16 @@ async def _answers(client: Any, nodes: Mapping[str, Any]) -> dict[str, tuple[Any
 
 
 def _unit(answer: Any) -> str:
+    """Name of a unit; empty where the property is there without one."""
     unit = answer.Value.Value if answer.Value else None
-    text = getattr(getattr(unit, "DisplayName", None), "Text", None)
-    return text.strip() if isinstance(text, str) else ""
+    name = getattr(getattr(unit, "DisplayName", None), "Text", None)
+    if isinstance(name, str) and name.strip():
+        return name.strip()
+    number = getattr(unit, "UnitId", None)
+    if not isinstance(number, int) or number <= 0:
+        return ""
+    code = number.to_bytes(4, "big").lstrip(b"\0").decode("ascii", errors="replace")
+    return _UNECE.get(code, f"unit {number}")
 
 
 def _reason(error: Exception) -> str:

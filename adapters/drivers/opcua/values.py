@@ -43,7 +43,8 @@ class FollowedNode:
     last_us: int = 0  # of the latest sample
     source_us: int = 0  # of the latest reading, as it is dated here
     ahead_us: int = 0  # of the latest reading whose source is ahead, as that gave it
-    latest: tuple[float | None, int] | None = None  # value and quality of the latest reading
+    #: Value and quality of the latest reading; None: nothing to compare with.
+    latest: tuple[float | None, int] | None = None
     #: The value or its quality changed, and their time did not: no time says when.
     stands: bool = False
     heard_us: int = 0  # when that was handed over
@@ -95,7 +96,7 @@ def compared(reading: NodeReading, point: FollowedNode, now_us: int) -> tuple[No
     """
     reading = _with_its_clock(reading, point, now_us)
     latest = None if math.isnan(reading.value) else reading.value, reading.quality
-    is_same_time, is_same = reading.time_us == point.source_us, latest == point.latest
+    is_same_time, is_same = reading.time_us == point.source_us, point.latest in (None, latest)
     point.stands = is_same_time and (point.stands or not is_same)
     point.source_us, point.latest = reading.time_us, latest
     if point.stands and is_good(reading.quality):

@@ -45,6 +45,37 @@ async def test_measured_values_are_there_before_the_kernels_are(
     await live.until(lambda: live.runtime.estimate.started, "a start", machine_at_rest)
 
 
+async def test_what_came_once_before_the_kernels_is_used(
+    make_live: Callable[..., Any], machine_at_rest: dict[str, float]
+) -> None:
+    live = make_live()
+    live.ready = asyncio.Event()
+    live.start()
+    live.feed(machine_at_rest)  # a broker keeps the last value of each
+    await asyncio.sleep(0.5)
+    live.ready.set()
+    temperatures = {name: of for name, of in machine_at_rest.items() if name.startswith("t_")}
+    await live.until(lambda: live.runtime.estimate.started, "a start", temperatures, 5.0)
+
+
+async def test_no_forecast_is_made_from_before_the_start(
+    make_live: Callable[..., Any],
+) -> None:
+    before = make_live()
+    await running(before, WARM)
+    await before.stop()
+    live = make_live()
+    live.ready = asyncio.Event()
+    live.start(json.loads(json.dumps(before.saved[-1])))
+    await asyncio.sleep(0.1)
+    live.plan((0.0, 2400.0, 2650.0))  # wants a forecast
+    live.clock._start_us += 1_000_000_000
+    live.ready.set()
+    begun_us = live.clock.now_us()
+    await live.until(live.documents.forecast, "a forecast", WARM)
+    assert live.runtime.forecast_age_s() < (live.clock.now_us() - begun_us) / 1e6 + 10.0
+
+
 async def test_alarms_do_not_wait_for_the_kernels(
     make_live: Callable[..., Any], machine_at_rest: dict[str, float]
 ) -> None:

@@ -24,6 +24,7 @@ class Steps:
         self.documents = SimpleNamespace(running=True)
         self.readings = SimpleNamespace(take_means=dict)
         self.estimate = None
+        self.used = lambda now_us, means: means
         self.saving = SimpleNamespace(begin=self.save, ended=lambda error: None)
         self.stepped_s: list[float] = []
         self.saved_s: list[float] = []
