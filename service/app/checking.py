@@ -1,8 +1,11 @@
 """What a configuration needs of the machine: certificates, extras, databases, free ports."""
 
-import socket
+import tempfile
 
+from service.domain.errors import TemporaryError
 from service.feature_folders import modules
+from service.plant.endpoints import check_endpoint
+from service.plant.protocol import Endpoint
 from service.site.configuration import SettingsError
 from service.site.settings import Settings
 from service.worker_pools import why_no_worker
@@ -59,25 +62,32 @@ def _fleet_errors(settings: Settings) -> list[str]:
     return errors if problem is None else [*errors, problem]
 
 
-def ports_in_use(settings: Settings) -> list[str]:
-    """Name the ports of the configuration that another program listens on, one line each."""
+def place_problems(settings: Settings) -> tuple[list[str], list[str]]:
+    """Try the data directory and the ports of a configuration; nothing is left there.
+
+    Returns what a start would refuse, and what it would wait for or may find otherwise: a port of a
+    service that runs, a directory that this user cannot write.
+    """
     from service.plant.publishers import endpoints
 
-    section = settings.service
-    places = {f"service.port = {section.port}": (section.host, section.port)}
-    places |= {one.key: (one.host, one.port) for one in endpoints(settings)}
-    return [
-        f"{key}: cannot listen there ({why}); expected a free port, or this service runs already"
-        for key, (host, port) in places.items()
-        if (why := _why_not_bound(host, port))
-    ]
-
-
-def _why_not_bound(host: str, port: int) -> str:
-    with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    errors: list[str] = []
+    warnings: list[str] = []
+    service = settings.service
+    own = Endpoint(f"service.port = {service.port}", service.host, service.port)
+    for endpoint in (own, *endpoints(settings)):
         try:
-            probe.bind((host, port))
-        except OSError as error:
-            return error.strerror or str(error)
-    return ""
+            check_endpoint(endpoint)
+        except TemporaryError as error:
+            warnings.append(f"{error}, or this service runs already")
+        except SettingsError as error:
+            errors += error.lines
+    data_dir = settings.data_dir
+    there = next(one for one in (data_dir, *data_dir.resolve().parents) if one.exists())
+    try:
+        with tempfile.TemporaryFile(dir=there):
+            pass
+    except PermissionError as error:
+        warnings.append(f"data directory {data_dir}: not by this user ({there}: {error.strerror})")
+    except OSError as error:
+        errors.append(f"data directory {data_dir}: cannot be used ({there}: {error.strerror})")
+    return errors, warnings

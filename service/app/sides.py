@@ -186,8 +186,8 @@ def key_check_process(settings: Settings) -> None:
 
     What else is wrong with the store the cell reports.
     """
+    from service.security.keys import check_key
     from service.store import Store, StoreError
-    from service.web.start import check_key
 
     _end_with_supervisor()
     configure_logging()

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from service.cli.known_assets import stored_assets_problems
+from service.cli.known_assets import store_problems
 from service.cli.serve import ConfigFile
 from service.domain.channels import unit_of
 from service.feature_folders import modules
@@ -31,7 +31,7 @@ def check(
     was changed in the store. A serial port can be read only while the service does not run.
     """
     # Imported here: the field libraries take a second to load, which --help should not pay.
-    from service.app.checking import environment_errors, machine_warnings, ports_in_use
+    from service.app.checking import environment_errors, machine_warnings, place_problems
     from service.ingest.probing import probe, unit_doubts
     from service.logs import configure_logging
     from service.plant.publishers import warnings as publisher_warnings
@@ -44,13 +44,13 @@ def check(
     if found.settings is not None:
         errors += [where + line for line in environment_errors(found.settings)]
         warnings += [where + line for line in publisher_warnings(found.settings)]
-        warnings += [where + line for line in ports_in_use(found.settings)]
         warnings += [where + line for line in readable_secrets(config)]
         for _, feature in modules("health"):
             warnings += feature.warnings(found.settings)
-        wrong, unknown = stored_assets_problems(found.settings)
-        errors += [where + line for line in wrong]
-        warnings += [where + line for line in unknown]
+        for problems in (store_problems, place_problems):
+            wrong, doubtful = problems(found.settings)
+            errors += [where + line for line in wrong]
+            warnings += [where + line for line in doubtful]
     else:
         warnings.append(f"{where}the assets in the store were not checked: see the errors")
     warnings += machine_warnings()

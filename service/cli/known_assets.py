@@ -53,19 +53,26 @@ def store_if_there(settings: Settings) -> "Iterator[Store | None]":
         yield store
 
 
-def stored_assets_problems(settings: Settings) -> tuple[list[str], list[str]]:
-    """Say which assets of the store do not fit the configuration.
+def store_problems(settings: Settings) -> tuple[list[str], list[str]]:
+    """Say what of the store does not fit the configuration: assets, and keys that are missing.
 
     Returns the problems, one line for each with its assets, and why the store was not looked into.
     """
+    from service.security.keys import check_key
     from service.site.asset_tables import misfits
     from service.store import StoreError
 
     try:
-        tables = {one.id: one.table or {} for one in _provisioned(settings)}
+        with store_if_there(settings) as store:
+            present = [] if store is None else store.assets.present()
+            problems = misfits(settings, {one.id: one.table or {} for one in present})
+            try:
+                check_key(store, settings.service.host)
+            except SettingsError as error:
+                problems += error.lines
     except StoreError as error:
         return [], [f"the assets in the store were not checked: {error}"]
-    return misfits(settings, tables), []
+    return problems, []
 
 
 def _provisioned(settings: Settings) -> "list[ProvisionedAsset]":

@@ -16,6 +16,8 @@ PUBLISHERS: Sequence[PublisherEntry] = (
     modbus_server.PUBLISHER,
 )
 
+_ANY_HOST = {"0.0.0.0", "::"}
+
 
 def any_enabled(settings: Settings) -> bool:
     """Whether there is anything to do for the plant side."""
@@ -41,6 +43,15 @@ def check_extras(settings: Settings) -> None:
             )
         if entry.check is not None:
             entry.check(settings)
+    service = settings.service
+    others = [Endpoint(f"service.port = {service.port}", service.host, service.port)]
+    for endpoint in endpoints(settings):
+        for other in others:
+            hosts = {endpoint.host, other.host}
+            if endpoint.port == other.port != 0 and (len(hosts) == 1 or hosts & _ANY_HOST):
+                text = f"{endpoint.key}: expected another port than that of {other.key}"
+                raise SettingsError(text)
+        others.append(endpoint)
 
 
 def check_ports(settings: Settings) -> None:

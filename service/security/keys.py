@@ -13,6 +13,8 @@ from dataclasses import dataclass
 from service.clock import DAY_US, wall_us
 from service.domain.errors import BearingTwinError
 from service.domain.roles import ROLES, Role
+from service.security.loopback import is_loopback
+from service.site.configuration import SettingsError
 from service.store import ApiKey, AuditEntry, Store
 
 _KEY = re.compile(r"bt_[0-9a-f]{8}_[A-Za-z0-9_-]{43}")
@@ -163,3 +165,17 @@ def _revocation(actor: Actor, key: ApiKey) -> AuditEntry:
 
 def _line(actor: Actor, action: str, prefix: str, detail: str) -> AuditEntry:
     return AuditEntry(wall_us(), actor.who, actor.address, action, f"key {prefix}", detail)
+
+
+def check_key(store: Store | None, host: str) -> None:
+    """Refuse a service that other machines may reach and that has no valid key.
+
+    ``store``: None where there is none yet. Raises `SettingsError`.
+    """
+    now_us = wall_us()
+    keys = [] if store is None else store.access.list_keys()
+    if not is_loopback(host) and not any(key.is_valid(now_us) for key in keys):
+        raise SettingsError(
+            f"service.host = {host!r}: reachable from other machines, so at least one API key "
+            "is needed; make one with 'bearing-twin keys create --role admin -c FILE'"
+        )

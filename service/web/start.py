@@ -26,13 +26,12 @@ from service.bus.presence import report_presence
 from service.bus.pushed_samples import PackedSamples
 from service.bus.replicas import Replicas
 from service.bus.stream import LiveMessages, heartbeats
-from service.clock import ProcessClock, wall_us
+from service.clock import ProcessClock
 from service.documents.messages import ServiceHealth, SourceDocument
 from service.domain.errors import CellUnavailableError
 from service.domain.requests import PUSH_SOURCE
-from service.security.loopback import is_loopback
+from service.security.keys import check_key
 from service.service_manager import ServiceManager
-from service.site.configuration import SettingsError
 from service.site.settings import Settings
 from service.store import Outbox, Store, StoreUnavailableError
 from service.tasks import background
@@ -109,8 +108,7 @@ class _Start:
                 await self._until_cell(reader)
                 store = await until("the store", open_store)
                 stack.callback(store.close)
-            if not is_loopback(settings.service.host):
-                await until("the store", partial(check_key, store, settings.service.host))
+            await until("the store", partial(check_key, store, settings.service.host))
             outbox = await until(
                 "room on the disk", partial(Outbox.open, data_dir, store, OUTBOX_FILE)
             )
@@ -289,16 +287,3 @@ async def _report_absence(
         for asset in replicas.assets.values():
             with contextlib.suppress(CellUnavailableError):
                 bus.announce("verdict", asset.id, asset.verdict())
-
-
-def check_key(store: Store, host: str) -> None:
-    """Refuse a service that other machines may reach and that has no valid key.
-
-    Raises `SettingsError` if there is no valid key.
-    """
-    now_us = wall_us()
-    if not any(key.is_valid(now_us) for key in store.access.list_keys()):
-        raise SettingsError(
-            f"service.host = {host!r}: reachable from other machines, so at least one API key "
-            "is needed; make one with 'bearing-twin keys create --role admin -c FILE'"
-        )

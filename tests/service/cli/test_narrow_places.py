@@ -1,6 +1,5 @@
-"""Where a command runs does not matter: terminals of few characters, and what check leaves out."""
+"""Where a command runs does not matter: terminals of few characters, labels that are no line."""
 
-import json
 import os
 import subprocess
 import sys
@@ -9,7 +8,6 @@ from pathlib import Path
 import pytest
 
 pytestmark = pytest.mark.wires
-CONFIGURATION = '[service]\ndatabase_url = "{url}"\n'
 
 
 def run(folder: Path, *arguments: str, **environment: str) -> "subprocess.CompletedProcess[bytes]":
@@ -37,14 +35,3 @@ def test_a_label_that_is_no_line_is_refused_in_one(tmp_path: Path, label: str) -
     refused = run(tmp_path, "keys", "create", "--role", "viewer", "--label", label)
     expected = b"bearing-twin: label: expected at most 100 characters on one line\n"
     assert (refused.returncode, refused.stderr) == (2, expected)
-
-
-@pytest.mark.parametrize("url", ["mysql://root@db/x", "postgres"])
-def test_check_refuses_the_database_that_serve_refuses(tmp_path: Path, url: str) -> None:
-    (tmp_path / "site.toml").write_text(CONFIGURATION.format(url=url))
-    served = run(tmp_path, "serve", "-c", "site.toml")
-    checked = run(tmp_path, "check", "-c", "site.toml", "--json")
-    assert served.returncode == 2
-    assert checked.returncode == 2
-    errors = json.loads(checked.stdout)["errors"]
-    assert any("service.database_url" in line for line in errors), errors
