@@ -54,6 +54,8 @@ _ROW = "(?, ?, ?, ?, ?)"
 #: This many rows go in by one statement: the other threads run meanwhile, which they cannot when
 #: every row is a step of its own. SQLite takes 32,766 parameters.
 _ROWS = 1024
+#: Of the file that the write-ahead log leaves when all of it is in the store.
+_LOG_BYTES = 16 * 1024 * 1024
 #: Copies that upgrades of the tables have left.
 _KEPT_COPIES = 3
 _UPSERT_ONE = _UPSERT.format(_ROW)
@@ -273,6 +275,8 @@ def _engine(url: URL, pool_size: int, max_overflow: int) -> Engine:
         # A commit is on the disk when it returns: what was acknowledged outlives a power cut.
         connection.execute("PRAGMA synchronous = FULL")
         connection.execute("PRAGMA foreign_keys = ON")
+        # A long reader makes the write-ahead log grow; behind it the file gets small again.
+        connection.execute(f"PRAGMA journal_size_limit = {_LOG_BYTES}")
 
     def begin(connection: Connection) -> None:
         writes = connection.get_execution_options().get(WRITES, False)

@@ -21,6 +21,7 @@ from service.security.authenticator import Authenticator
 from service.web.api.access import make_access_check
 from service.web.api.context import ServiceContext
 from service.web.api.docs import STREAM_PATH, install_docs
+from service.web.api.http_forms import HttpForms
 from service.web.api.middleware import (
     AccessGate,
     BodyLimit,
@@ -75,6 +76,7 @@ def create_app(context: ServiceContext) -> FastAPI:
     app = _new_app(
         lifespan=lifespan,
         middleware=[
+            Middleware(HttpForms),
             Middleware(KnownProxies, proxies=context.settings.service.trusted_proxies),
             Middleware(SecurityHeaders),
             Middleware(Compression, excluded=(measurements.PARQUET,)),

@@ -112,6 +112,8 @@ def install_handlers(app: FastAPI) -> None:
         if isinstance(error, Problem):
             return _answer(request, error)
         detail = error.detail if isinstance(error.detail, str) else str(error.detail)
+        if isinstance(error.__cause__, UnicodeDecodeError):
+            return _answer(request, Problem(422, "body: expected UTF-8"))
         if error.status_code == 404 and detail == "Not Found":
             detail = f"there is nothing at {request.url.path}"
         headers = error.headers
@@ -199,7 +201,8 @@ def _methods(app: FastAPI, path: str) -> list[str]:
             for route in iter_route_contexts(app.routes)
             if isinstance(route.original_route, APIRoute)
             and compile_path(route.path or "")[0].match(path)
-            for method in route.methods or ()
+            for named in route.methods or ()
+            for method in ({"GET", "HEAD"} if named == "GET" else {named})
         }
     )
 

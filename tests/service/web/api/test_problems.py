@@ -124,7 +124,7 @@ async def test_errors_of_the_framework_are_problems_too(world: Any) -> None:
     problem_of(await viewer.get("/api/v1/nowhere"), 404)
     response = await viewer.patch("/api/v1/assets")
     problem_of(response, 405)
-    assert response.headers["allow"] == "GET"
+    assert response.headers["allow"] == "GET, HEAD"
     problem_of(await world.client("operator").patch(FORECASTS), 405)
 
 
