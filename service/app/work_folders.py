@@ -1,10 +1,12 @@
 """Where a service has its compiled kernels and its temporary files."""
 
+import contextlib
 import os
 import tempfile
 from pathlib import Path
 
 import twin_core
+from service.files import make_private_folder
 
 
 def use_work_folders(data_dir: Path) -> None:
@@ -17,10 +19,14 @@ def use_work_folders(data_dir: Path) -> None:
     try:
         tempfile.gettempdir()
     except FileNotFoundError:
+        with contextlib.suppress(OSError):  # a start says what is wrong with it
+            make_private_folder(data_dir)
         os.environ["TMPDIR"] = str(data_dir.resolve())
     named = os.environ.get("NUMBA_CACHE_DIR")
-    usual = Path(named) if named else Path(twin_core.__file__).parent / "simulation" / "__pycache__"
-    if not _can_write(usual):
+    package = Path(twin_core.__file__).parent / "simulation" / "__pycache__"
+    home = os.environ.get("HOME", "")
+    of_user = Path(os.environ.get("XDG_CACHE_HOME") or f"{home}/.cache", "numba")
+    if not any(_can_write(one) for one in ([Path(named)] if named else [package, of_user])):
         os.environ["NUMBA_CACHE_DIR"] = str(data_dir.resolve() / "kernels")
 
 

@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import stat
 from pathlib import Path
 
 from service.domain.errors import ServiceError
@@ -25,30 +26,34 @@ def bus_folder(data_dir: Path) -> Path:
         If there is no place for it.
     """
     data_dir = data_dir.resolve()
-    if len(os.fsencode(data_dir / COMMANDS)) <= LONGEST:
+    if _is_short(data_dir):
         return data_dir
     digest = hashlib.blake2b(os.fsencode(data_dir), digest_size=8).hexdigest()
     name = f"bearing-twin-{os.getuid()}-{digest}"
-    bases = [os.environ.get("XDG_RUNTIME_DIR", ""), os.environ.get("TMPDIR", ""), *_ANY_USER]
-    refused = []
-    for base in (Path(one) for one in bases if one):
-        if why := _why_not(base / name):
-            refused.append(f"{base}: {why}")
-        else:
-            return base / name
-    raise ServiceError(
-        f"the path of data_dir {data_dir} is too long for local sockets, and they have no other "
-        f"place ({'; '.join(refused)}); expected XDG_RUNTIME_DIR to name a folder of this user "
-        "with a short path"
-    )
+    named = [os.environ.get("XDG_RUNTIME_DIR", ""), os.environ.get("TMPDIR", "")]
+    bases = [Path(one).absolute() for one in (*named, *_ANY_USER) if one]
+    # By names alone: all processes of a service must find the same one.
+    fits = (one for one in bases if one.is_dir() and _is_short(one / name))
+    base = next(fits, None)
+    why = "there is no other place with a short path" if base is None else _why_not(base / name)
+    if why or base is None:
+        raise ServiceError(
+            f"data_dir {data_dir} has too long a path for local sockets, and {why}; expected "
+            "XDG_RUNTIME_DIR to name a folder of this user with a short path"
+        )
+    return base / name
+
+
+def _is_short(folder: Path) -> bool:
+    return len(os.fsencode(folder / COMMANDS)) <= LONGEST
 
 
 def _why_not(folder: Path) -> str:
-    """Try to make a folder for sockets; empty where it is there."""
-    if len(os.fsencode(folder / COMMANDS)) > LONGEST:
-        return "too long a path"
+    """Make a folder for sockets; says why it cannot be had."""
     try:
         make_private_folder(folder)
-        return "" if folder.stat().st_uid == os.getuid() else "of another user"
+        there = folder.lstat()
     except OSError as error:
-        return error.strerror or str(error)
+        return f"{folder} cannot be made ({error.strerror})"
+    is_ours = stat.S_ISDIR(there.st_mode) and there.st_uid == os.getuid()
+    return "" if is_ours else f"{folder} is not of this user"

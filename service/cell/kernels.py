@@ -57,7 +57,10 @@ class Kernels(Part):
     async def run(self) -> None:
         """Compile and load what is missing, until cancelled."""
         if not self.ready.is_set():
-            await self._compile()
+            try:
+                await self._compile()
+            except OSError as error:  # no room for a process
+                _log.error("kernels_not_compiled", error=str(error), instead="compiled by the cell")
             await to_thread.run_sync(_compile_here)
             self.ready.set()
             _log.info("twin_loaded")

@@ -30,6 +30,7 @@ from service.jobs.workspace import JobFolder
 from service.live.asset import AssetRuntime
 from service.store import AuditEntry, NotOwnerError, Store, StoreUnavailableError
 from service.store.records import Job, ModelStatus, ModelVersion
+from service.worker_pools import NoWorkerError
 
 STORE_RETRY_WALL_S = 2.0
 STOP_WALL_S = 1.0
@@ -185,6 +186,10 @@ class JobRunner:
             worker.end()
             if job is not None and job.attempts + 1 < MOST_STALLED_ATTEMPTS:
                 return False
+            await self._end(job_id, "fail", str(error))
+        except NoWorkerError as error:
+            _log.error("job_without_worker", job=job_id, reason=str(error))
+            worker.end()
             await self._end(job_id, "fail", str(error))
         except StoreUnavailableError as error:
             _log.warning("job_waits_for_the_store", job=job_id, error=str(error))

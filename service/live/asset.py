@@ -283,9 +283,9 @@ class AssetRuntime:
 
     def used(self, now_us: int, means: Mapping[str, float]) -> Mapping[str, float]:
         """Give what a step uses: the first one also what came before and is still good."""
-        if self.estimate.started:
+        if self._had_started:
             return means
-        good = {name: self.readings.good_value(name, now_us) for name in self.readings.latest}
+        good = {name: self.readings.good_value(name, now_us) for name in self.facts}
         return {name: value for name, value in good.items() if value is not None} | dict(means)
 
     def stepped(self, now_us: int, failure: Exception | None) -> Reference | None:

@@ -1,7 +1,7 @@
 """Answers that are computed for a caller: in worker processes of the web side."""
 
 import asyncio
-import contextlib
+import math
 import time
 from collections.abc import Callable
 from concurrent.futures.process import BrokenProcessPool
@@ -26,6 +26,8 @@ IDLE_S: Final = 120.0
 #: And one for what-ifs, after the last question and the last client of the live messages.
 WHAT_IFS_IDLE_S: Final = 900.0
 _POLL_S: Final = 1.0
+#: A worker that could not be started is tried again after so many.
+_AGAIN_S: Final = 60.0
 
 Result = TypeVar("Result")
 
@@ -49,15 +51,18 @@ class WorkerQuestions:
         ``is_watched``: says whether one does: it may ask at any moment, and the worker takes two
         seconds to start.
         """
+        again_s = -math.inf
         try:
             while True:
                 await asyncio.sleep(_POLL_S)
                 now_s = time.monotonic()
                 if is_watched():
                     self._asked_s = now_s
-                    if not self._what_ifs.is_running:
-                        with contextlib.suppress(NotReadyError):
+                    if not self._what_ifs.is_running and now_s >= again_s:
+                        try:
                             await self._compute(self._what_ifs, worker.warm_up)
+                        except NotReadyError:
+                            again_s = now_s + _AGAIN_S
                 elif now_s - self._asked_s > WHAT_IFS_IDLE_S:
                     self._what_ifs.shutdown()
                 if not self._studying and now_s - self._studied_s > IDLE_S:

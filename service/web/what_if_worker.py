@@ -42,9 +42,9 @@ class WhatIfWorker(Executor):
                 self._executor.shutdown(wait=False)
                 self._executor = self._make_executor()
                 return self._executor.submit(fn, *args, **kwargs)
-        except OSError as error:  # no room for a process
+        except NoWorkerError:
             self.shutdown(cancel_futures=True)
-            raise NoWorkerError(error) from error
+            raise
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """End the process, also in the middle of a task: no caller waits for its answer."""

@@ -41,14 +41,16 @@ class Server:
     ) -> None:
         self.refusal, self.paths, self.properties = refusal, paths or {}, properties or {}
         self.unit: Any = ua.EUInformation(DisplayName=ua.LocalizedText("K"))
-        self.spoiling = 0
+        self.spoiling: set[int] = set()
+        self.most = 2
         self.asked = 0
+        self.state = UaClientState.CONNECTED
 
     async def translate_browsepaths_to_nodeids(self, paths: list[Any]) -> list[Any]:
         self.asked += 1
         if self.refusal is not None:
             raise self.refusal
-        if len(paths) > 2:
+        if len(paths) > self.most:
             raise ua.uaerrors.BadTooManyOperations
         found = []
         for path in paths:
@@ -59,9 +61,7 @@ class Server:
         return found
 
     async def read(self, request: Any) -> list[Any]:
-        if self.spoiling and self.spoiling in {
-            item.NodeId.Identifier for item in request.NodesToRead
-        }:
+        if self.spoiling & {item.NodeId.Identifier for item in request.NodesToRead}:
             raise struct.error
         found = []
         for item in request.NodesToRead:
@@ -103,7 +103,7 @@ async def test_an_odd_status_of_one_node_leaves_that_alone_without_an_answer(
 
 async def test_one_node_that_spoils_an_answer_leaves_the_others_theirs() -> None:
     server = Server()
-    server.spoiling = 3
+    server.spoiling = {3}
     found = await stated_units(server, NODES)
     assert list(found.unanswered) == ["ns=2;i=3"]
     assert found.units == {name: "K" for name in NODES if name != "ns=2;i=3"}
@@ -125,6 +125,27 @@ async def test_a_unit_without_a_name_is_known_by_its_number(unit: Any, expected:
     server = Server()
     server.unit = unit
     assert await stated_units(server, NODES) == StatedUnits(dict.fromkeys(NODES, expected))
+
+
+async def test_a_server_that_lets_us_ask_nothing_states_none() -> None:
+    server = Server(ua.uaerrors.BadUserAccessDenied())
+    nodes = {f"ns=2;i={number}": ua.NodeId(number, 2) for number in range(3000)}
+    assert await stated_units(server, nodes) == StatedUnits(dict.fromkeys(nodes, ""))
+    assert server.asked == 2
+
+
+async def test_many_nodes_that_spoil_answers_keep_none_of_the_others_back() -> None:
+    server = Server()
+    server.most, server.spoiling = 500, set(range(0, 600, 5))
+    nodes = {f"ns=2;i={number}": ua.NodeId(number, 2) for number in range(600)}
+    known: dict[str, str] = {}
+    left = dict(nodes)
+    for _ in range(60):
+        found = await stated_units(server, left)
+        known |= found.units
+        left = {name: nodes[name] for name in found.unanswered}
+    assert {nodes[name].Identifier for name in left} == server.spoiling
+    assert known == {name: "K" for name in nodes if name not in left}
 
 
 async def test_a_server_that_does_not_answer_is_asked_once() -> None:
@@ -229,6 +250,54 @@ def test_a_unit_that_becomes_known_ends_no_other_doubt() -> None:
     driver._take_units(StatedUnits({NODE: "K"}))
     (sample,) = driver._take([(NODE, value_of(302.0))], stands=True)
     assert (round(sample.value, 2), sample.quality) == (28.85, Quality.UNCERTAIN)
+
+
+def test_a_reconnection_ends_no_doubt_about_a_source_whose_time_stands() -> None:
+    driver = driver_of(OpcUaChannel(source="plc", node=NODE))
+    driver._take_units(StatedUnits({NODE: "°C"}))
+    driver._take([(NODE, value_of(40.0))], stands=True)
+    driver._doubt_units({NODE: "no answer yet"})
+    driver._take_units(StatedUnits({NODE: "°C"}))
+    (sample,) = driver._take([(NODE, value_of(70.0))], stands=True)
+    assert (sample.value, sample.quality) == (70.0, Quality.UNCERTAIN)
+
+
+async def test_a_question_that_ends_the_connection_comes_after_the_values_the_next_time() -> None:
+    driver = driver_of(OpcUaChannel(source="plc", node=NODE))
+    for ends in (True, False):
+        session = Session(driver._source)
+        session._nodes = dict(NODES)
+        client = Server(ua.uaerrors.BadTcpMessageTooLarge())
+        client.state = UaClientState.DISCONNECTED
+        session._client = SimpleNamespace(uaclient=client)
+        if ends:
+            with pytest.raises(SessionError):
+                await driver._ask_first(session)
+        else:
+            await driver._ask_first(session)
+            assert not client.asked
+    assert driver.health().problems == {}
+    (sample,) = driver._take([(NODE, value_of(300.0))], stands=True)
+    assert (sample.value, sample.quality) == (300.0, Quality.UNCERTAIN)
+
+
+async def test_a_unit_that_appears_a_little_later_is_taken() -> None:
+    driver = driver_of(OpcUaChannel(source="plc", node=NODE))
+    session = Session(driver._source)
+    session._nodes = dict(NODES)
+    server = Server(paths={0: ua.StatusCodes.BadNoMatch})
+    server.state = UaClientState.CONNECTED
+    session._client = SimpleNamespace(uaclient=server)
+    await driver._ask_first(session)
+    assert [one.quality for one in driver._take([(NODE, value_of(300.0))], stands=True)] == [192]
+    server.paths = {}
+    driver._ask_at = 0.0
+    driver._begin_to_ask(session)
+    assert driver._asking is not None
+    await driver._asking
+    (sample,) = driver._take([(NODE, value_of(300.0))], stands=True)
+    assert (round(sample.value, 2), sample.quality) == (26.85, Quality.GOOD)
+    assert not driver._stateless
 
 
 async def test_only_units_that_matter_are_asked_for() -> None:

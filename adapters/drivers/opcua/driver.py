@@ -31,6 +31,8 @@ PORTION = 1000  # samples of the history that are handed over at once
 MOST_GAPS = 16  # of a channel that wait for the server's history
 # A server that does not say its units is asked again; values wait for its first answer so long.
 UNITS_WAIT_S = 2.0
+# After so many answers history is fetched as it is, and a node without a unit has none.
+MOST_QUESTIONS = 3
 UNITS_AGAIN_FIRST_S, UNITS_AGAIN_LAST_S = 10.0, 600.0
 
 
@@ -69,7 +71,9 @@ class OpcUaDriver:
         self._history: asyncio.Queue[list[Sample]] = asyncio.Queue(HISTORY_WAITS)
         self._units: dict[str, str] = {}  # of nodes, as the server stated them last
         self._unasked: list[str] = []  # nodes of which it does not say whether they have one
-        self._questions = 0  # that have been answered, well or not
+        self._stateless: list[str] = []  # nodes without one, which are asked for again
+        self._questions = 0  # that were answered since the connection
+        self._ends_by_question = False  # the connection, the last time
         self._asking: asyncio.Task[None] | None = None
         self._ask_again = Backoff(UNITS_AGAIN_FIRST_S, UNITS_AGAIN_LAST_S)
         self._ask_at = -math.inf  # wall (monotonic) time
@@ -169,8 +173,12 @@ class OpcUaDriver:
 
     async def _ask_first(self, session: Session) -> None:
         """Ask for the units of all nodes; a server that is slow to answer keeps no value back."""
-        self._ask_again.reset()
-        self._ask_at, self._questions = -math.inf, 0
+        if self._ends_by_question:  # values come first
+            self._ask_at = time.monotonic() + self._ask_again.next()
+        else:
+            self._ask_again.reset()
+            self._ask_at = -math.inf
+        self._questions, self._stateless = 0, []
         followed = zip(self._points, self._given, strict=True)
         asked = [given.node for point, given in followed if needs_unit(given, point.unit)]
         self._doubt_units(dict.fromkeys(asked, "no answer yet"))
@@ -183,16 +191,27 @@ class OpcUaDriver:
     def _begin_to_ask(self, session: Session) -> None:
         """Ask for units that the server has not said, while values go on."""
         is_asking = self._asking is not None and not self._asking.done()
-        if self._unasked and not is_asking and time.monotonic() >= self._ask_at:
+        if (
+            (self._unasked or self._stateless)
+            and not is_asking
+            and time.monotonic() >= self._ask_at
+        ):
             self._asking = asyncio.create_task(self._ask(session))
 
     async def _ask(self, session: Session) -> None:
         self._ask_at = time.monotonic() + self._ask_again.next()
+        self._ends_by_question = True
         try:
-            self._take_units(await session.stated_units(self._unasked))
+            found = await session.stated_units([*self._unasked, *self._stateless])
         except SessionError as error:
             session.lose(str(error))
+            return
+        self._ends_by_question = False
         self._questions += 1
+        # A server that is starting may state it a little later.
+        none = [node for node, unit in found.units.items() if not unit]
+        self._stateless = none if self._questions < MOST_QUESTIONS else []
+        self._take_units(found)
 
     def _take_units(self, stated: StatedUnits) -> None:
         """Turn values into the channels' units; what cannot be turned is doubted."""
@@ -226,8 +245,7 @@ class OpcUaDriver:
             keys = {"scale": factors[0], "offset": factors[1]}
             point.config, point.doubt = given.model_copy(update=keys), doubt
             if before != (point.config, point.doubt):
-                # The same value counts as another one, and need not change for that.
-                point.latest, point.heard_us = None, 0
+                point.heard_us = 0  # it is read at once
 
     async def _wait(self, session: Session) -> None:
         """Wait for a notification; not for long, as history may come or a node fall silent."""
@@ -344,7 +362,7 @@ class OpcUaDriver:
         if self._filling is not None and not self._filling.done():
             return
         # What is fetched without its unit stays in doubt: two further questions come before.
-        waits = self._unasked if self._questions < 3 else []
+        waits = self._unasked if self._questions < MOST_QUESTIONS else []
         points = [one for one in self._points if one.gaps and one.config.node not in waits]
         if points:
             self._filling = asyncio.create_task(self._fill_in(session, points))

@@ -1,7 +1,8 @@
 """Units that an OPC UA server states of its nodes (Part 8, EngineeringUnits)."""
 
 import struct
-from collections.abc import Mapping
+from collections import deque
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,6 +18,15 @@ _NO_SERVICE = frozenset(
         ua.StatusCodes.BadServiceUnsupported,
         ua.StatusCodes.BadNotImplemented,
         ua.StatusCodes.BadNotSupported,
+    )
+)
+# What it answers to a question that is too long.
+_TOO_MUCH = frozenset(
+    (
+        ua.StatusCodes.BadTooManyOperations,
+        ua.StatusCodes.BadRequestTooLarge,
+        ua.StatusCodes.BadResponseTooLarge,
+        ua.StatusCodes.BadEncodingLimitsExceeded,
     )
 )
 # What it answers of a node that has no unit, or none for us.
@@ -69,27 +79,35 @@ async def stated_units(client: Any, nodes: Mapping[str, Any]) -> StatedUnits:
     """
     names = list(nodes)
     found, failures = StatedUnits(), 0
-    waiting = [names[at : at + NODES_PER_REQUEST] for at in range(0, len(names), NODES_PER_REQUEST)]
+    waiting = _parts(names, NODES_PER_REQUEST)
     while waiting:
-        part = waiting.pop()
+        part = waiting.popleft()
         try:
             answers = await _answers(client, {name: nodes[name] for name in part})
         except (UaError, TimeoutError, ValueError, struct.error) as error:
-            failures += 1
             code, reason = getattr(error, "code", None), _reason(error)
-            if isinstance(error, TimeoutError) or failures > _MOST_FAILURES:
-                # Each further question would take as long.
-                left = [*part, *(name for one in waiting for name in one)]
-                found.unanswered |= dict.fromkeys(left, reason)
+            left = [*part, *(name for one in waiting for name in one)]
+            if code in _TOO_MUCH and len(part) > 1:
+                waiting = _parts(left, len(part) // 2)
+                continue
+            failures += 1
+            states_none = code in _STATES_NONE and not (found.units or found.unanswered)
+            if code in _NO_SERVICE or (states_none and len(part) == 1):
+                found.units |= dict.fromkeys(left, "")
                 break
-            if code not in _NO_SERVICE and len(part) > 1:
-                # Too many at once, or one of them that spoils the answer for all.
-                half = len(part) // 2
-                waiting += [part[half:], part[:half]]
+            if isinstance(error, TimeoutError) or failures > _MOST_FAILURES:
+                # Each further question would take as long. Those that were not reached come first
+                # the next time.
+                found.unanswered = dict.fromkeys(left, reason) | found.unanswered
+                break
+            if len(part) > 1:
+                # One of them spoils the answer for all, or none of them is for us.
+                size = 1 if states_none else len(part) // 2
+                waiting.extendleft([part[size:], part[:size]])
             elif code in _STATES_NONE:
-                found.units |= dict.fromkeys(part, "")
+                found.units[part[0]] = ""
             else:
-                found.unanswered |= dict.fromkeys(part, reason)
+                found.unanswered[part[0]] = reason
             continue
         for name, (status, unit) in answers.items():
             if status is None or status.is_good():
@@ -99,6 +117,10 @@ async def stated_units(client: Any, nodes: Mapping[str, Any]) -> StatedUnits:
             else:
                 found.unanswered[name] = str(status.name)
     return found
+
+
+def _parts(names: Sequence[str], size: int) -> deque[Sequence[str]]:
+    return deque(names[at : at + size] for at in range(0, len(names), size))
 
 
 async def _answers(client: Any, nodes: Mapping[str, Any]) -> dict[str, tuple[Any, str]]:

@@ -20,7 +20,8 @@ class NodeReading(NamedTuple):
 
     `kind` and `reason` say what is wrong with it, for counting and for people; empty when it is
     good. `overflown` means that the server lost values before it. `source_us` is the time that its
-    source gave; `ahead_s` is how far it lies ahead of ours, where it is too far.
+    source gave; `ahead_s` is how far it lies ahead of ours, where it is too far. `said` is value
+    and status as the server has them, whatever unit they are in.
     """
 
     time_us: int
@@ -31,6 +32,7 @@ class NodeReading(NamedTuple):
     overflown: bool
     source_us: int | None = None
     ahead_s: float = 0.0
+    said: tuple[object, int] | None = None
 
 
 @dataclass(slots=True)
@@ -43,8 +45,7 @@ class FollowedNode:
     last_us: int = 0  # of the latest sample
     source_us: int = 0  # of the latest reading, as it is dated here
     ahead_us: int = 0  # of the latest reading whose source is ahead, as that gave it
-    #: Value and quality of the latest reading; None: nothing to compare with.
-    latest: tuple[float | None, int] | None = None
+    latest: tuple[object, int] | None = None  # value and status of the latest reading
     #: The value or its quality changed, and their time did not: no time says when.
     stands: bool = False
     heard_us: int = 0  # when that was handed over
@@ -95,8 +96,9 @@ def compared(reading: NodeReading, point: FollowedNode, now_us: int) -> tuple[No
     quality changed; and whether it is the same one sent again.
     """
     reading = _with_its_clock(reading, point, now_us)
-    latest = None if math.isnan(reading.value) else reading.value, reading.quality
-    is_same_time, is_same = reading.time_us == point.source_us, point.latest in (None, latest)
+    value = None if math.isnan(reading.value) else reading.value
+    latest = reading.said or (value, reading.quality)
+    is_same_time, is_same = reading.time_us == point.source_us, latest == point.latest
     point.stands = is_same_time and (point.stands or not is_same)
     point.source_us, point.latest = reading.time_us, latest
     if point.stands and is_good(reading.quality):
@@ -130,9 +132,17 @@ def reading_of(found: Any, config: OpcUaChannel, now_us: int, rate: float = 1.0)
         if is_good(quality):
             quality, kind = int(Quality.UNCERTAIN), "time"
             reason = clock_ahead(ahead_s) if ahead_s else "no source time"
+    said = _raw(found), code
     return NodeReading(
-        time_us, value, quality, kind, reason, has_overflown(code), source_us, ahead_s
+        time_us, value, quality, kind, reason, has_overflown(code), source_us, ahead_s, said
     )
+
+
+def _raw(found: Any) -> object:
+    """The value of a node as something that can be compared."""
+    value = found.Value.Value if found.Value is not None else None
+    is_number = isinstance(value, int | float) and value == value
+    return value if is_number else type(value).__name__
 
 
 def microseconds(moment: datetime | None) -> int | None:

@@ -4,7 +4,7 @@ import asyncio
 from concurrent.futures.process import BrokenProcessPool
 from typing import Final, Protocol
 
-from service.domain.errors import BearingTwinError
+from service.domain.errors import BearingTwinError, ServiceError
 from service.features.nights.account import ExecutorName
 from service.features.nights.batches import run_batch
 from service.jobs.executor import STALLED_AFTER_WALL_S as JOB_STALLED_AFTER_WALL_S
@@ -92,9 +92,9 @@ class ProcessBatches:
                 self.workers_lost += 1
                 worker.end()
                 raise BatchFailedError(HANGS) from error
-            except (NoWorkerError, OSError) as error:
+            except NoWorkerError as error:
                 worker.end()
-                raise BatchFailedError(str(error)) from error
+                raise ServiceError(str(error)) from error
 
     def end(self) -> None:
         """End all processes at once."""

@@ -171,7 +171,7 @@ class Teaching(Part):
                     lambda: self._runner.stalled_after_wall_s,
                     _nothing,
                 )
-            except (BrokenProcessPool, WorkerStalledError):
+            except (BrokenProcessPool, NoWorkerError, WorkerStalledError):
                 worker.end()
                 raise
             finally:

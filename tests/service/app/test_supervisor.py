@@ -141,6 +141,25 @@ async def test_a_side_that_computes_without_end_is_killed_and_started_again(
         assert len(await running.starts_of("cell", 1)) == 1
 
 
+async def test_a_side_that_finds_no_room_for_its_process_is_tried_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with supervised(tmp_path, ALL) as running:
+        (web,) = await running.starts_of("web", 1)
+        await running.starts_of("cell", 1)
+        with monkeypatch.context() as full:
+
+            def refuse(*_: object) -> None:
+                raise BlockingIOError(11, "Resource temporarily unavailable")
+
+            full.setattr("service.app.supervisor.start", refuse)
+            os.kill(web, signal.SIGKILL)
+            await asyncio.sleep(1.0)
+            assert not running.task.done()
+        await running.starts_of("web", 2)
+        assert len(await running.starts_of("cell", 1)) == 1
+
+
 async def test_under_systemd_the_sides_give_their_own_signs_of_life(tmp_path: Path) -> None:
     """The environment of systemd names the supervisor alone as the one whose signs it expects."""
     script = tmp_path / "serve.py"

@@ -39,6 +39,7 @@ def test_a_package_that_cannot_be_written_keeps_none(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: bool
 ) -> None:
     monkeypatch.delenv(NAME, raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", "" if refused else str(tmp_path))
     monkeypatch.setattr("os.access", lambda path, mode: not refused)
     use_work_folders(tmp_path / "data")
     assert kept() == (str(tmp_path / "data" / "kernels") if refused else None)

@@ -21,7 +21,12 @@ from service.bus.memory import MemoryBus
 from service.bus.messages import Call, CellState, Request, encode
 from service.bus.places import LONGEST, bus_folder
 from service.documents.identification import JobDocument
-from service.domain.errors import CellUnavailableError, JobConflictError, RequestRefusedError
+from service.domain.errors import (
+    CellUnavailableError,
+    JobConflictError,
+    RequestRefusedError,
+    ServiceError,
+)
 
 JOB = JobDocument(
     id="a1",
@@ -311,3 +316,21 @@ async def test_a_data_directory_with_a_long_path_has_its_sockets_elsewhere(
         async with joined("local", data_dir, {Double: double}) as (_, reader):
             assert await reader.ask(Double(3), 30) == 6
         assert bus_folder(data_dir / ".." / data_dir.name) == folder
+
+
+def test_a_place_of_the_sockets_is_one_by_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    data_dir = tmp_path / ("x" * LONGEST)
+    data_dir.mkdir()
+    long = tmp_path / ("t" * LONGEST)
+    long.mkdir()
+    with tempfile.TemporaryDirectory() as runtime:
+        monkeypatch.setenv("XDG_RUNTIME_DIR", str(long))
+        monkeypatch.setenv("TMPDIR", runtime)
+        folder = bus_folder(data_dir)
+        assert folder.parent == Path(runtime)
+        folder.rmdir()
+        folder.symlink_to(tmp_path)
+        with pytest.raises(ServiceError, match=f"{folder} is not of this user; expected XDG"):
+            bus_folder(data_dir)
