@@ -80,10 +80,13 @@ def place_problems(settings: Settings) -> tuple[list[str], list[str]]:
         except TemporaryError as error:
             warnings.append(f"{error}, or this service runs already")
         except SettingsError as error:
-            errors += error.lines
+            # Another user may be allowed to.
+            here = isinstance(error.__cause__, PermissionError)
+            (warnings if here else errors).extend(error.lines)
     data_dir = settings.data_dir
-    there = next(one for one in (data_dir, *data_dir.resolve().parents) if one.exists())
+    there = data_dir
     try:
+        there = next(one for one in (data_dir, *data_dir.resolve().parents) if one.exists())
         with tempfile.TemporaryFile(dir=there):
             pass
     except PermissionError as error:

@@ -33,7 +33,7 @@ def bus_folder(data_dir: Path) -> Path:
     named = [os.environ.get("XDG_RUNTIME_DIR", ""), os.environ.get("TMPDIR", "")]
     bases = [Path(one).absolute() for one in (*named, *_ANY_USER) if one]
     # By names alone: all processes of a service must find the same one.
-    fits = (one for one in bases if one.is_dir() and _is_short(one / name))
+    fits = (one for one in bases if os.access(one, os.W_OK | os.X_OK) and _is_short(one / name))
     base = next(fits, None)
     why = "there is no other place with a short path" if base is None else _why_not(base / name)
     if why or base is None:

@@ -70,7 +70,7 @@ def store_problems(settings: Settings) -> tuple[list[str], list[str]]:
                 check_key(store, settings.service.host)
             except SettingsError as error:
                 problems += error.lines
-    except StoreError as error:
+    except (OSError, StoreError) as error:
         return [], [f"the assets in the store were not checked: {error}"]
     return problems, []
 

@@ -44,7 +44,8 @@ def check_extras(settings: Settings) -> None:
         if entry.check is not None:
             entry.check(settings)
     service = settings.service
-    others = [Endpoint(f"service.port = {service.port}", service.host, service.port)]
+    own = Endpoint(f"service.port = {service.port}", service.host, service.port)
+    others = [] if settings.is_fleet else [own]  # there they may run on other machines
     for endpoint in endpoints(settings):
         for other in others:
             hosts = {endpoint.host, other.host}

@@ -42,6 +42,7 @@ class Server:
         self.refusal, self.paths, self.properties = refusal, paths or {}, properties or {}
         self.unit: Any = ua.EUInformation(DisplayName=ua.LocalizedText("K"))
         self.spoiling: set[int] = set()
+        self.spoils: Exception = struct.error()
         self.most = 2
         self.asked = 0
         self.state = UaClientState.CONNECTED
@@ -62,7 +63,7 @@ class Server:
 
     async def read(self, request: Any) -> list[Any]:
         if self.spoiling & {item.NodeId.Identifier for item in request.NodesToRead}:
-            raise struct.error
+            raise self.spoils
         found = []
         for item in request.NodesToRead:
             status = ua.StatusCode(self.properties.get(item.NodeId.Identifier, 0))
@@ -131,7 +132,19 @@ async def test_a_server_that_lets_us_ask_nothing_states_none() -> None:
     server = Server(ua.uaerrors.BadUserAccessDenied())
     nodes = {f"ns=2;i={number}": ua.NodeId(number, 2) for number in range(3000)}
     assert await stated_units(server, nodes) == StatedUnits(dict.fromkeys(nodes, ""))
-    assert server.asked == 2
+    assert server.asked < 10
+
+
+@pytest.mark.parametrize("bad", [0, 3, 6])
+@pytest.mark.parametrize("status", ["BadNodeIdUnknown", "BadUserAccessDenied", "BadNotFound"])
+async def test_a_node_that_is_refused_for_all_leaves_the_others_theirs(
+    bad: int, status: str
+) -> None:
+    server = Server()
+    server.most, server.spoiling = 500, {bad}
+    server.spoils = ua.UaStatusCodeError(getattr(ua.StatusCodes, status))
+    found = await stated_units(server, NODES)
+    assert found == StatedUnits(dict.fromkeys(NODES, "K") | {f"ns=2;i={bad}": ""})
 
 
 async def test_many_nodes_that_spoil_answers_keep_none_of_the_others_back() -> None:
@@ -250,6 +263,16 @@ def test_a_unit_that_becomes_known_ends_no_other_doubt() -> None:
     driver._take_units(StatedUnits({NODE: "K"}))
     (sample,) = driver._take([(NODE, value_of(302.0))], stands=True)
     assert (round(sample.value, 2), sample.quality) == (28.85, Quality.UNCERTAIN)
+
+
+def test_bits_that_only_inform_make_no_value_another_one() -> None:
+    driver = driver_of(OpcUaChannel(source="plc", node=NODE))
+    driver._take_units(StatedUnits({NODE: "°C"}))
+    for code in (0x480, 0x4000, 0):
+        value = value_of(40.0)
+        value.StatusCode = ua.StatusCode(code)
+        (sample,) = driver._take([(NODE, value)], stands=True)
+        assert sample.quality == Quality.GOOD
 
 
 def test_a_reconnection_ends_no_doubt_about_a_source_whose_time_stands() -> None:

@@ -206,6 +206,9 @@ class OpcUaDriver:
         except SessionError as error:
             session.lose(str(error))
             return
+        except asyncio.CancelledError:  # it was lost otherwise
+            self._ends_by_question = False
+            raise
         self._ends_by_question = False
         self._questions += 1
         # A server that is starting may state it a little later.

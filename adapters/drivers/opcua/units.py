@@ -12,6 +12,8 @@ from asyncua.ua.uaerrors import UaError
 NODES_PER_REQUEST = 500
 # Questions that may fail before no further one is asked.
 _MOST_FAILURES = 40
+# Nodes that are refused one by one before the same is taken to hold for all.
+_ALL_REFUSED = 3
 # What a server answers that knows no such question.
 _NO_SERVICE = frozenset(
     (
@@ -78,7 +80,7 @@ async def stated_units(client: Any, nodes: Mapping[str, Any]) -> StatedUnits:
         If the connection is lost.
     """
     names = list(nodes)
-    found, failures = StatedUnits(), 0
+    found, failures, refused = StatedUnits(), 0, 0
     waiting = _parts(names, NODES_PER_REQUEST)
     while waiting:
         part = waiting.popleft()
@@ -91,8 +93,8 @@ async def stated_units(client: Any, nodes: Mapping[str, Any]) -> StatedUnits:
                 waiting = _parts(left, len(part) // 2)
                 continue
             failures += 1
-            states_none = code in _STATES_NONE and not (found.units or found.unanswered)
-            if code in _NO_SERVICE or (states_none and len(part) == 1):
+            refused += code in _STATES_NONE and len(part) == 1
+            if code in _NO_SERVICE or (refused >= _ALL_REFUSED and len(found.units) < refused):
                 found.units |= dict.fromkeys(left, "")
                 break
             if isinstance(error, TimeoutError) or failures > _MOST_FAILURES:
@@ -100,10 +102,15 @@ async def stated_units(client: Any, nodes: Mapping[str, Any]) -> StatedUnits:
                 # the next time.
                 found.unanswered = dict.fromkeys(left, reason) | found.unanswered
                 break
-            if len(part) > 1:
-                # One of them spoils the answer for all, or none of them is for us.
-                size = 1 if states_none else len(part) // 2
-                waiting.extendleft([part[size:], part[:size]])
+            if len(part) > 1 and code in _STATES_NONE and not found.units:
+                # None of them is for us, or one spoils the answer for all: some are asked alone.
+                alone = {part[0], part[len(part) // 2], part[-1]}
+                rest = [name for name in part if name not in alone]
+                waiting.extendleft([rest] if rest else [])
+                waiting.extendleft([name] for name in alone)
+            elif len(part) > 1:
+                half = len(part) // 2
+                waiting.extendleft([part[half:], part[:half]])
             elif code in _STATES_NONE:
                 found.units[part[0]] = ""
             else:

@@ -132,7 +132,7 @@ def reading_of(found: Any, config: OpcUaChannel, now_us: int, rate: float = 1.0)
         if is_good(quality):
             quality, kind = int(Quality.UNCERTAIN), "time"
             reason = clock_ahead(ahead_s) if ahead_s else "no source time"
-    said = _raw(found), code
+    said = _raw(found), quality_of(code)
     return NodeReading(
         time_us, value, quality, kind, reason, has_overflown(code), source_us, ahead_s, said
     )
