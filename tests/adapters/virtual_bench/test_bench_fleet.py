@@ -225,10 +225,14 @@ def test_a_bench_of_many_costs_a_tenth_of_a_single_one() -> None:
     def seconds(bench: BenchFleet | LiveBench) -> float:
         bench.advance(20.0)
         begin = time.process_time()
-        for second in range(21, 201):
+        for second in range(21, 61):
             bench.advance(second)
         return time.process_time() - begin
 
-    single = min(seconds(LiveBench(find_scenario("staircase"), 0)) for _ in range(3))
-    many = min(seconds(BenchFleet(200, 0)) for _ in range(3))
+    # By turns and each for a moment: what else the machine does disturbs both alike.
+    pairs = [
+        (seconds(LiveBench(find_scenario("staircase"), 0)), seconds(BenchFleet(200, 0)))
+        for _ in range(12)
+    ]
+    single, many = map(min, zip(*pairs, strict=True))
     assert many / 200 < single / 10
