@@ -233,7 +233,7 @@ def test_a_value_is_good_only_while_its_unit_is_known() -> None:
     )
 
     def taken(*stated: dict[str, str]) -> dict[str, tuple[float, int]]:
-        driver._take_units(StatedUnits(*stated))
+        driver._unit_questions.take(StatedUnits(*stated))
         value = value_of(300.0)
         found = driver._take([(NODE, value), (OTHER, value)], stands=True)
         return {one.channel: (round(one.value, 2), one.quality) for one in found}
@@ -260,14 +260,14 @@ def test_a_unit_that_becomes_known_ends_no_other_doubt() -> None:
     for number in range(3):  # the time of its source stands still
         (sample,) = driver._take([(NODE, value_of(300.0 + number))], stands=True)
     assert driver.health().problems == {"bench/t_0_c": STANDS}
-    driver._take_units(StatedUnits({NODE: "K"}))
+    driver._unit_questions.take(StatedUnits({NODE: "K"}))
     (sample,) = driver._take([(NODE, value_of(302.0))], stands=True)
     assert (round(sample.value, 2), sample.quality) == (28.85, Quality.UNCERTAIN)
 
 
 def test_bits_that_only_inform_make_no_value_another_one() -> None:
     driver = driver_of(OpcUaChannel(source="plc", node=NODE))
-    driver._take_units(StatedUnits({NODE: "°C"}))
+    driver._unit_questions.take(StatedUnits({NODE: "°C"}))
     for code in (0x480, 0x4000, 0):
         value = value_of(40.0)
         value.StatusCode = ua.StatusCode(code)
@@ -277,10 +277,10 @@ def test_bits_that_only_inform_make_no_value_another_one() -> None:
 
 def test_a_reconnection_ends_no_doubt_about_a_source_whose_time_stands() -> None:
     driver = driver_of(OpcUaChannel(source="plc", node=NODE))
-    driver._take_units(StatedUnits({NODE: "°C"}))
+    driver._unit_questions.take(StatedUnits({NODE: "°C"}))
     driver._take([(NODE, value_of(40.0))], stands=True)
-    driver._doubt_units({NODE: "no answer yet"})
-    driver._take_units(StatedUnits({NODE: "°C"}))
+    driver._unit_questions._doubt({NODE: "no answer yet"})
+    driver._unit_questions.take(StatedUnits({NODE: "°C"}))
     (sample,) = driver._take([(NODE, value_of(70.0))], stands=True)
     assert (sample.value, sample.quality) == (70.0, Quality.UNCERTAIN)
 
@@ -295,9 +295,9 @@ async def test_a_question_that_ends_the_connection_comes_after_the_values_the_ne
         session._client = SimpleNamespace(uaclient=client)
         if ends:
             with pytest.raises(SessionError):
-                await driver._ask_first(session)
+                await driver._unit_questions.begin(session)
         else:
-            await driver._ask_first(session)
+            await driver._unit_questions.begin(session)
             assert not client.asked
     assert driver.health().problems == {}
     (sample,) = driver._take([(NODE, value_of(300.0))], stands=True)
@@ -311,24 +311,24 @@ async def test_a_unit_that_appears_a_little_later_is_taken() -> None:
     server = Server(paths={0: ua.StatusCodes.BadNoMatch})
     server.state = UaClientState.CONNECTED
     session._client = SimpleNamespace(uaclient=server)
-    await driver._ask_first(session)
+    await driver._unit_questions.begin(session)
     assert [one.quality for one in driver._take([(NODE, value_of(300.0))], stands=True)] == [192]
     server.paths = {}
-    driver._ask_at = 0.0
-    driver._begin_to_ask(session)
-    assert driver._asking is not None
-    await driver._asking
+    driver._unit_questions._ask_at = 0.0
+    driver._unit_questions.go_on(session)
+    assert driver._unit_questions._asking is not None
+    await driver._unit_questions._asking
     (sample,) = driver._take([(NODE, value_of(300.0))], stands=True)
     assert (round(sample.value, 2), sample.quality) == (26.85, Quality.GOOD)
-    assert not driver._stateless
+    assert not driver._unit_questions._without
 
 
 async def test_only_units_that_matter_are_asked_for() -> None:
     scaled = OpcUaChannel(source="plc", node=OTHER, scale=0.1)
     driver = driver_of(OpcUaChannel(source="plc", node=NODE), scaled)
     driver._points[0].unit = ""
-    await driver._ask_first(Session(driver._source))
-    assert driver._asking is None
+    await driver._unit_questions.begin(Session(driver._source))
+    assert driver._unit_questions._asking is None
 
 
 async def test_a_question_that_ends_the_connection_ends_the_session() -> None:
@@ -339,5 +339,5 @@ async def test_a_question_that_ends_the_connection_ends_the_session() -> None:
     session._client = SimpleNamespace(uaclient=client)
     client.state = UaClientState.DISCONNECTED
     with pytest.raises(SessionError, match="BadTcpMessageTooLarge"):
-        await driver._ask_first(session)
+        await driver._unit_questions.begin(session)
     assert session.lost == "BadTcpMessageTooLarge"

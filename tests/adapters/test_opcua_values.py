@@ -89,7 +89,7 @@ def judged(readings: list[tuple[int, float, int]]) -> list[tuple[int, bool]]:
     point = FollowedNode("a", "load_n", OpcUaChannel(source="plc", node="i=1"))
     found = []
     for time_us, value, quality in readings:
-        reading = NodeReading(time_us, value, quality, "", "", False)
+        reading = NodeReading(time_us, value, quality, "", "", False, (value, quality))
         one, is_same = compared(reading, point, time_us)
         assert (one.reason == STANDS) == (one.quality == Quality.UNCERTAIN)
         found.append((one.quality, is_same))

@@ -4,7 +4,7 @@ import asyncio
 import logging
 import math
 import time
-from collections.abc import AsyncIterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Sequence
 from dataclasses import replace
 from types import TracebackType
 from typing import Any, Self
@@ -13,11 +13,10 @@ from adapters.backoff import Backoff
 from adapters.drivers.opcua.backfill import fill_in
 from adapters.drivers.opcua.config import OpcUaChannel, OpcUaSource, check
 from adapters.drivers.opcua.session import Session, SessionError
-from adapters.drivers.opcua.units import StatedUnits
+from adapters.drivers.opcua.unit_questions import UnitQuestions
 from adapters.drivers.opcua.values import FollowedNode, compared, moment_of
 from adapters.protocol import ChannelBinding, Clock, PlanBinding, SourceHealth
 from adapters.samples import Batch, Quality, Sample, is_bad, is_good, next_time_us
-from adapters.units import UnitError, factors_of, needs_unit
 
 logger = logging.getLogger(__name__)
 
@@ -29,11 +28,6 @@ LOG_INTERVAL_S = 10.0  # between two lines on the same channel
 HISTORY_WAITS = 4  # answers of the history that wait to be handed over
 PORTION = 1000  # samples of the history that are handed over at once
 MOST_GAPS = 16  # of a channel that wait for the server's history
-# A server that does not say its units is asked again; values wait for its first answer so long.
-UNITS_WAIT_S = 2.0
-# After so many answers history is fetched as it is, and a node without a unit has none.
-MOST_QUESTIONS = 3
-UNITS_AGAIN_FIRST_S, UNITS_AGAIN_LAST_S = 10.0, 600.0
 
 
 class OpcUaDriver:
@@ -56,7 +50,6 @@ class OpcUaDriver:
         self._clock = clock
         self._session = Session(source)
         self._points = [_point(binding) for binding in channels]
-        self._given = [point.config for point in self._points]
         self._by_node: dict[str, list[FollowedNode]] = {}
         for point in self._points:
             self._by_node.setdefault(point.config.node, []).append(point)
@@ -69,14 +62,7 @@ class OpcUaDriver:
         self._backoff = Backoff(RECONNECT_FIRST_S, RECONNECT_LAST_S)
         self._filling: asyncio.Task[None] | None = None
         self._history: asyncio.Queue[list[Sample]] = asyncio.Queue(HISTORY_WAITS)
-        self._units: dict[str, str] = {}  # of nodes, as the server stated them last
-        self._unasked: list[str] = []  # nodes of which it does not say whether they have one
-        self._stateless: list[str] = []  # nodes without one, which are asked for again
-        self._questions = 0  # that were answered since the connection
-        self._ends_by_question = False  # the connection, the last time
-        self._asking: asyncio.Task[None] | None = None
-        self._ask_again = Backoff(UNITS_AGAIN_FIRST_S, UNITS_AGAIN_LAST_S)
-        self._ask_at = -math.inf  # wall (monotonic) time
+        self._unit_questions = UnitQuestions(source.name, self._points)
 
     @property
     def name(self) -> str:
@@ -135,7 +121,7 @@ class OpcUaDriver:
         """Connect, and yield what comes until the connection is lost."""
         session = self._session = Session(self._source)
         refused = await session.open(self._by_node)
-        await self._ask_first(session)
+        await self._unit_questions.begin(session)
         if self._was_connected:
             self._health.reconnects += 1
             logger.info("source %s: reconnected", self.name)
@@ -168,87 +154,8 @@ class OpcUaDriver:
                 self._health.polls += 1
                 yield Batch(samples)
             self._begin_to_fill_in(session)
-            self._begin_to_ask(session)
+            self._unit_questions.go_on(session)
         raise SessionError(session.lost)
-
-    async def _ask_first(self, session: Session) -> None:
-        """Ask for the units of all nodes; a server that is slow to answer keeps no value back."""
-        if self._ends_by_question:  # values come first
-            self._ask_at = time.monotonic() + self._ask_again.next()
-        else:
-            self._ask_again.reset()
-            self._ask_at = -math.inf
-        self._questions, self._stateless = 0, []
-        followed = zip(self._points, self._given, strict=True)
-        asked = [given.node for point, given in followed if needs_unit(given, point.unit)]
-        self._doubt_units(dict.fromkeys(asked, "no answer yet"))
-        self._begin_to_ask(session)
-        if self._asking is not None:
-            await asyncio.wait({self._asking}, timeout=UNITS_WAIT_S)
-        if session.lost:
-            raise SessionError(session.lost)
-
-    def _begin_to_ask(self, session: Session) -> None:
-        """Ask for units that the server has not said, while values go on."""
-        is_asking = self._asking is not None and not self._asking.done()
-        if (
-            (self._unasked or self._stateless)
-            and not is_asking
-            and time.monotonic() >= self._ask_at
-        ):
-            self._asking = asyncio.create_task(self._ask(session))
-
-    async def _ask(self, session: Session) -> None:
-        self._ask_at = time.monotonic() + self._ask_again.next()
-        self._ends_by_question = True
-        try:
-            found = await session.stated_units([*self._unasked, *self._stateless])
-        except SessionError as error:
-            session.lose(str(error))
-            return
-        except asyncio.CancelledError:  # it was lost otherwise
-            self._ends_by_question = False
-            raise
-        self._ends_by_question = False
-        self._questions += 1
-        # A server that is starting may state it a little later.
-        none = [node for node, unit in found.units.items() if not unit]
-        self._stateless = none if self._questions < MOST_QUESTIONS else []
-        self._take_units(found)
-
-    def _take_units(self, stated: StatedUnits) -> None:
-        """Turn values into the channels' units; what cannot be turned is doubted."""
-        unanswered = dict(stated.unanswered)
-        for node, unit in stated.units.items():
-            before = self._units.get(node, "")
-            if before and not unit:  # it may be about to start
-                unanswered[node] = f"none now, {before!r} before"
-            else:
-                self._units[node] = unit
-        if unanswered:
-            logger.info(
-                "source %s: the server does not say the units of %d nodes: %s",
-                *(self.name, len(unanswered), next(iter(unanswered.values()))),
-            )
-        self._doubt_units(unanswered)
-
-    def _doubt_units(self, unanswered: Mapping[str, str]) -> None:
-        """Turn values by the units that are known, and doubt those whose unit is not."""
-        self._unasked = list(unanswered)
-        for point, given in zip(self._points, self._given, strict=True):
-            factors, doubt = (given.scale, given.offset), ""
-            before = point.config, point.doubt
-            try:
-                factors = factors_of(given, point.unit, self._units.get(given.node, ""))
-                if given.node in unanswered and needs_unit(given, point.unit):
-                    why = unanswered[given.node]
-                    doubt = f"the server does not say its unit: {why}; expected one, or scale"
-            except UnitError as error:
-                doubt = f"the server has it {error}, or scale"
-            keys = {"scale": factors[0], "offset": factors[1]}
-            point.config, point.doubt = given.model_copy(update=keys), doubt
-            if before != (point.config, point.doubt):
-                point.heard_us = 0  # it is read at once
 
     async def _wait(self, session: Session) -> None:
         """Wait for a notification; not for long, as history may come or a node fall silent."""
@@ -364,8 +271,7 @@ class OpcUaDriver:
     def _begin_to_fill_in(self, session: Session) -> None:
         if self._filling is not None and not self._filling.done():
             return
-        # What is fetched without its unit stays in doubt: two further questions come before.
-        waits = self._unasked if self._questions < MOST_QUESTIONS else []
+        waits = self._unit_questions.awaited
         points = [one for one in self._points if one.gaps and one.config.node not in waits]
         if points:
             self._filling = asyncio.create_task(self._fill_in(session, points))
@@ -402,11 +308,11 @@ class OpcUaDriver:
         self._problem = reason
 
     async def _close(self) -> None:
-        tasks = [task for task in (self._filling, self._asking) if task is not None]
-        self._filling = self._asking = None
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
+        await self._unit_questions.end()
+        filling, self._filling = self._filling, None
+        if filling is not None:
+            filling.cancel()
+            await asyncio.gather(filling, return_exceptions=True)
         # Of history that was not taken the gap is open again.
         while not self._history.empty():
             self._reopen(self._history.get_nowait())

@@ -20,7 +20,7 @@ from cryptography import x509
 
 from adapters import AdapterError
 from adapters.drivers.opcua.config import OpcUaSource
-from adapters.drivers.opcua.units import NODES_PER_REQUEST, StatedUnits, stated_units
+from adapters.drivers.opcua.units import NODES_PER_REQUEST, StatedUnits, stated_units, value_of
 
 # Whatever goes wrong is reported once, by the driver; the library logs every failed attempt.
 if logging.getLogger("asyncua").level == logging.NOTSET:
@@ -103,7 +103,7 @@ class Session:
                 request = ua.ReadParameters()
                 request.MaxAge = 0
                 request.TimestampsToReturn = ua.TimestampsToReturn.Both
-                request.NodesToRead = [_value_of(self._nodes[name]) for name in names]
+                request.NodesToRead = [value_of(self._nodes[name]) for name in names]
                 values = await self._client.uaclient.read(request)
                 found += zip(names, values, strict=True)
         except WENT_WRONG as error:
@@ -221,7 +221,7 @@ class Session:
             if trigger is not None:
                 wanted.Filter = trigger
             request = ua.MonitoredItemCreateRequest()
-            request.ItemToMonitor = _value_of(self._nodes[name])
+            request.ItemToMonitor = value_of(self._nodes[name])
             request.MonitoringMode = ua.MonitoringMode.Reporting
             request.RequestedParameters = wanted
             requests.append(request)
@@ -249,13 +249,6 @@ class Session:
         if isinstance(error, ConnectionRefusedError):
             return "connection refused"
         return f"{error}".strip().splitlines()[0] if f"{error}".strip() else type(error).__name__
-
-
-def _value_of(node_id: Any) -> Any:
-    item = ua.ReadValueId()
-    item.NodeId = node_id
-    item.AttributeId = ua.AttributeIds.Value
-    return item
 
 
 def _is_filter_refused(result: Any) -> bool:

@@ -142,7 +142,7 @@ async def _answers(client: Any, nodes: Mapping[str, Any]) -> dict[str, tuple[Any
     }
     if properties:
         request = ua.ReadParameters()
-        request.NodesToRead = [_value_of(_local(one)) for one in properties.values()]
+        request.NodesToRead = [value_of(_local(one)) for one in properties.values()]
         for name, value in zip(properties, await client.read(request), strict=True):
             answers[name] = value.StatusCode, _unit(value)
     return answers
@@ -167,7 +167,8 @@ def _reason(error: Exception) -> str:
     return type(error).__name__ if isinstance(error, ua.UaStatusCodeError) else f"{error}"
 
 
-def _value_of(node_id: Any) -> Any:
+def value_of(node_id: Any) -> Any:
+    """Make the item of a request that reads the value of a node."""
     item = ua.ReadValueId()
     item.NodeId = node_id
     item.AttributeId = ua.AttributeIds.Value

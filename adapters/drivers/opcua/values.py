@@ -30,9 +30,9 @@ class NodeReading(NamedTuple):
     kind: str
     reason: str
     overflown: bool
+    said: tuple[object, int]
     source_us: int | None = None
     ahead_s: float = 0.0
-    said: tuple[object, int] | None = None
 
 
 @dataclass(slots=True)
@@ -96,11 +96,9 @@ def compared(reading: NodeReading, point: FollowedNode, now_us: int) -> tuple[No
     quality changed; and whether it is the same one sent again.
     """
     reading = _with_its_clock(reading, point, now_us)
-    value = None if math.isnan(reading.value) else reading.value
-    latest = reading.said or (value, reading.quality)
-    is_same_time, is_same = reading.time_us == point.source_us, latest == point.latest
+    is_same_time, is_same = reading.time_us == point.source_us, reading.said == point.latest
     point.stands = is_same_time and (point.stands or not is_same)
-    point.source_us, point.latest = reading.time_us, latest
+    point.source_us, point.latest = reading.time_us, reading.said
     if point.stands and is_good(reading.quality):
         reading = reading._replace(quality=int(Quality.UNCERTAIN), kind="time", reason=STANDS)
     return reading, is_same_time and is_same
@@ -134,7 +132,7 @@ def reading_of(found: Any, config: OpcUaChannel, now_us: int, rate: float = 1.0)
             reason = clock_ahead(ahead_s) if ahead_s else "no source time"
     said = _raw(found), quality_of(code)
     return NodeReading(
-        time_us, value, quality, kind, reason, has_overflown(code), source_us, ahead_s, said
+        time_us, value, quality, kind, reason, has_overflown(code), said, source_us, ahead_s
     )
 
 

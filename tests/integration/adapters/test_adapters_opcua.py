@@ -197,7 +197,7 @@ async def test_a_unit_that_the_server_does_not_say_is_asked_for_again(
     origin: dt.datetime,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("adapters.drivers.opcua.driver.UNITS_AGAIN_FIRST_S", 0.2)
+    monkeypatch.setattr("adapters.drivers.opcua.unit_questions.AGAIN_FIRST_S", 0.2)
     server = peer("opcua_server.py", free_port, origin.isoformat())
     await asyncio.to_thread(server.start)
     async with (
