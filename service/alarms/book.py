@@ -125,7 +125,7 @@ class AlarmBook:
             self._register.pause_timers(asset)
 
     def drop_delays(self, asset: str, names: Collection[AlarmName]) -> None:
-        """Begin delays of an asset anew: of alarms that are judged otherwise from now on."""
+        """Let delays of alarms begin from zero, which are judged otherwise from now on."""
         with self._lock:
             self._register.drop_timers(asset, names)
 

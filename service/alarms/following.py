@@ -1,6 +1,7 @@
 """How an alarm follows its condition: delays, the deadband, and what was between two looks."""
 
 from dataclasses import replace
+from typing import NamedTuple
 
 from service.alarms.changes import AlarmChanges
 from service.alarms.register import Watched
@@ -28,21 +29,29 @@ def follow(
                 and alarm.state == AlarmState.ACKED
                 and at_us >= (alarm.acknowledged_at_us or 0)
             )
-            step(changes, watched, seen, at_us, now_us, may_return)
+            step(_Moment(changes, watched, seen, at_us, now_us, may_return))
             has_come |= watched.alarm.present and not was_present
-    _follow(changes, watched, condition, now_us, now_us, not has_come)
+    _follow(_Moment(changes, watched, condition, now_us, now_us, not has_come))
     return watched.alarm
 
 
-def _hold(
-    changes: AlarmChanges,
-    watched: Watched,
-    condition: AlarmCondition,
-    at_us: int,
-    now_us: int,
-    may_return: bool,
-) -> None:
+class _Moment(NamedTuple):
+    """A condition as it was at a time, and what is known of its alarm at this look.
+
+    ``may_return``: whether the alarm may end by it.
+    """
+
+    changes: AlarmChanges
+    watched: Watched
+    condition: AlarmCondition
+    at_us: int
+    now_us: int
+    may_return: bool
+
+
+def _hold(moment: _Moment) -> None:
     """Count until a new value, as one holds until the next: its delay may be over by then."""
+    changes, watched, condition, at_us, now_us, may_return = moment
     timer = watched.timer
     if timer is None or timer.is_paused:
         return
@@ -57,15 +66,9 @@ def _hold(
         changes.turn(watched, highest, True, now_us, timer.highest)
 
 
-def _follow(
-    changes: AlarmChanges,
-    watched: Watched,
-    condition: AlarmCondition,
-    at_us: int,
-    now_us: int,
-    may_return: bool,
-) -> None:
+def _follow(moment: _Moment) -> None:
     """Let an alarm follow its condition as it was at a time, now or since the last look."""
+    changes, watched, condition, at_us, now_us, may_return = moment
     alarm, holds = watched.alarm, condition.active
     if alarm.present and holds is False and condition.in_deadband:
         holds = None

@@ -239,7 +239,7 @@ class Register:
                 watched.timer.pause()
 
     def drop_timers(self, asset: str, names: Collection[AlarmName]) -> None:
-        """Begin delays anew, by kind, channel and level."""
+        """Let delays begin from zero, by kind, channel and level."""
         known = self._watched.get(asset, {})
         for name in names:
             if (watched := known.get((asset, *name))) is not None:

@@ -5,7 +5,6 @@ import tempfile
 from service.domain.errors import TemporaryError
 from service.feature_folders import modules
 from service.plant.endpoints import check_endpoint
-from service.plant.protocol import Endpoint
 from service.site.configuration import SettingsError
 from service.site.settings import Settings
 from service.worker_pools import why_no_worker
@@ -68,13 +67,11 @@ def place_problems(settings: Settings) -> tuple[list[str], list[str]]:
     Returns what a start would refuse, and what it would wait for or may find otherwise: a port of a
     service that runs, a directory that this user cannot write.
     """
-    from service.plant.publishers import endpoints
+    from service.plant.publishers import endpoints, own_endpoint
 
     errors: list[str] = []
     warnings: list[str] = []
-    service = settings.service
-    own = Endpoint(f"service.port = {service.port}", service.host, service.port)
-    for endpoint in (own, *endpoints(settings)):
+    for endpoint in (own_endpoint(settings), *endpoints(settings)):
         try:
             check_endpoint(endpoint)
         except TemporaryError as error:

@@ -43,7 +43,7 @@ RETRY_MOST_S = 10.0
 STOP_S: dict[SideName, float] = {"cell": 10.0, "web": 4.0, "plant": 4.0}
 _RETRY_FIRST_S = 0.2
 #: For `Side.run`: of a side whose process could not be made.
-STATUS_NOT_STARTED = 1
+_STATUS_NOT_STARTED = 1
 #: A store that does not answer within these wall seconds is asked for keys by the web side.
 _KEY_CHECK_S = 10.0
 _LOOK_EVERY_S = 0.5
@@ -189,7 +189,7 @@ class Side:
                 )
             except OSError as error:  # no room for a process now; the other sides go on
                 _log.error("side_not_started", side=self.name, error=str(error))
-                return STATUS_NOT_STARTED
+                return _STATUS_NOT_STARTED
             await ended(process)
             process.join()
         finally:

@@ -25,7 +25,7 @@ def any_enabled(settings: Settings) -> bool:
 
 
 def check_extras(settings: Settings) -> None:
-    """Make sure that what is enabled is installed, and that its files can be used.
+    """Make sure that what is enabled is installed, with files that can be used and own ports.
 
     Raises `SettingsError`: one line that names the key and what to do.
     """
@@ -43,9 +43,11 @@ def check_extras(settings: Settings) -> None:
             )
         if entry.check is not None:
             entry.check(settings)
-    service = settings.service
-    own = Endpoint(f"service.port = {service.port}", service.host, service.port)
-    others = [] if settings.is_fleet else [own]  # there they may run on other machines
+    _check_distinct_ports(settings)
+
+
+def _check_distinct_ports(settings: Settings) -> None:
+    others = [] if settings.is_fleet else [own_endpoint(settings)]  # there it may be elsewhere
     for endpoint in endpoints(settings):
         for other in others:
             hosts = {endpoint.host, other.host}
@@ -64,6 +66,12 @@ def check_ports(settings: Settings) -> None:
     check_extras(settings)
     for endpoint in endpoints(settings):
         check_endpoint(endpoint)
+
+
+def own_endpoint(settings: Settings) -> Endpoint:
+    """Where the web side listens."""
+    service = settings.service
+    return Endpoint(f"service.port = {service.port}", service.host, service.port)
 
 
 def endpoints(settings: Settings) -> list[Endpoint]:

@@ -1,13 +1,12 @@
 """A live asset before there is what its estimates are computed with."""
 
 import asyncio
-import json
 from collections.abc import Callable
 from typing import Any
 
 from adapters.samples import Quality, Sample
 
-from .warm_machine import WARM, running
+from .warm_machine import WARM, waiting
 
 
 async def test_measured_values_are_there_before_the_kernels_are(
@@ -45,12 +44,7 @@ async def test_what_came_once_before_the_kernels_is_used(
 async def test_what_came_before_the_kernels_is_where_a_kept_estimate_goes_on(
     make_live: Callable[..., Any],
 ) -> None:
-    before = make_live()
-    await running(before, WARM)
-    await before.stop()
-    live = make_live()
-    live.ready = asyncio.Event()
-    live.start(json.loads(json.dumps(before.saved[-1])))
+    live = await waiting(make_live)
     live.feed(WARM | {"speed_rpm": 0.0, "load_n": 500.0})  # it sends changes only
     await asyncio.sleep(0.5)
     live.ready.set()
@@ -75,12 +69,7 @@ def sample_of(channel: str, now_us: int) -> Sample:
 async def test_no_forecast_is_made_from_before_the_start(
     make_live: Callable[..., Any],
 ) -> None:
-    before = make_live()
-    await running(before, WARM)
-    await before.stop()
-    live = make_live()
-    live.ready = asyncio.Event()
-    live.start(json.loads(json.dumps(before.saved[-1])))
+    live = await waiting(make_live)
     await asyncio.sleep(0.1)
     live.plan((0.0, 2400.0, 2650.0))  # wants a forecast
     live.clock._start_us += 1_000_000_000
@@ -90,16 +79,9 @@ async def test_no_forecast_is_made_from_before_the_start(
     assert live.runtime.forecast_age_s() < (live.clock.now_us() - begun_us) / 1e6 + 10.0
 
 
-async def test_alarms_do_not_wait_for_the_kernels(
-    make_live: Callable[..., Any], machine_at_rest: dict[str, float]
-) -> None:
-    before = make_live()
-    await running(before, WARM)
-    await before.stop()
-    live = make_live()
-    live.ready = asyncio.Event()
-    kept = json.loads(json.dumps(before.saved[-1]))
-    live.start(kept)
+async def test_alarms_do_not_wait_for_the_kernels(make_live: Callable[..., Any]) -> None:
+    live = await waiting(make_live)
+    followed_s = live.runtime._waits["followed_s"]
     hot = WARM | {"t_inner_ring_c": 97.0}
     (alarm,) = await live.until(
         lambda: [one for one in live.alarms.active("bench-1") if one.level == "alarm"], "it", hot
@@ -111,5 +93,5 @@ async def test_alarms_do_not_wait_for_the_kernels(
     assert not live.saved
     live.ready.set()
     await live.until(lambda: live.runtime.estimate.started, "the kept estimate")
-    assert live.runtime.estimate.followed_s > kept["followed_s"] - 1.0
+    assert live.runtime.estimate.followed_s > followed_s - 1.0
     await live.until(lambda: not live.alarms.present("bench-1"), "an end of the alarm", WARM)

@@ -154,7 +154,7 @@ def test_a_delay_below_the_time_between_two_looks_does_what_it_says(
 
 
 @pytest.mark.parametrize("phase_s", PHASES_S)
-def test_a_dip_between_two_looks_begins_both_delays_anew(
+def test_a_dip_between_two_looks_lets_both_delays_begin_from_zero(
     watched: Callable[..., Watched], phase_s: float
 ) -> None:
     ring = watched(10.0, 20.0)
@@ -473,7 +473,7 @@ def test_a_change_before_the_first_look_judges_nothing(watched: Callable[..., Wa
     assert [*ring.book.normal(), *ring.book.active()] == []
 
 
-def test_a_change_begins_no_other_delay_anew(watched: Callable[..., Watched]) -> None:
+def test_a_change_lets_no_other_delay_begin_from_zero(watched: Callable[..., Watched]) -> None:
     ring = watched(10.0)
     for _ in range(2):
         ring.follow([90.0] * 4, 3.5)

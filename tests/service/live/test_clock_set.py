@@ -1,7 +1,5 @@
 """The clock is set while a machine is followed: nothing of it is older, younger or forgotten."""
 
-import asyncio
-import json
 from collections.abc import Callable
 from typing import Any
 
@@ -13,7 +11,7 @@ from service.live.readings import Readings
 
 from .conftest import Live
 from .test_watch import Machine, make_machine
-from .warm_machine import WARM, running
+from .warm_machine import WARM, running, waiting
 
 __all__ = ["make_machine"]
 
@@ -126,13 +124,7 @@ async def test_verdict_plan_and_forecast_hold(make_live: Callable[..., Live], st
 async def test_a_kept_estimate_that_waits_for_the_kernels_is_as_old_as_before(
     make_live: Callable[..., Live], step_s: int
 ) -> None:
-    first = make_live()
-    await running(first, WARM)
-    await first.stop()
-    live = make_live()
-    live.ready = asyncio.Event()
-    live.start(json.loads(json.dumps(first.saved[-1])))
-    await asyncio.sleep(0)
+    live = await waiting(make_live)
     live.clock._start_us += step_s * SECOND_US
     live.runtime.clock_set(step_s * SECOND_US)
     live.ready.set()
