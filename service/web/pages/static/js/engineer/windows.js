@@ -226,11 +226,8 @@ class WindowTimeline extends Panel {
 
   timeMarks() {
     const marks = [];
-    const step = [1, 2, 6, 12, 24, 7 * 24].map((hours) => hours * HOUR_MS)
-      .find((one) => this.span / one <= this.width / 80) ?? 30 * 24 * HOUR_MS;
-    const zone = new Date(this.first).getTimezoneOffset() * 60000;
-    let at = Math.ceil((this.first - zone) / step) * step + zone;
-    for (; at < this.first + this.span; at += step) {
+    const hours = [1, 2, 6, 12, 24, 7 * 24].find((one) => this.span / (one * HOUR_MS) <= this.width / 80);
+    for (const at of localTimes(this.first, this.first + this.span, hours ?? 30 * 24)) {
       const midnight = hourMinute(at) === '00:00';
       const fits = this.x(at) < this.width - 50;
       marks.push(v('path', { d: `M${this.x(at)} 8V${BASE + 22}`, stroke: 'var(--line)' }),
@@ -240,6 +237,23 @@ class WindowTimeline extends Panel {
     }
     return marks;
   }
+}
+
+/**
+ * Local times between two moments, so many hours apart by the clock on the wall: from midnight, or
+ * whole weeks from a Monday. On a day whose clock is changed they stay at the same hours.
+ */
+export function localTimes(fromMs, toMs, hours) {
+  const first = new Date(fromMs);
+  const sinceMonday = hours % (7 * 24) ? 0 : (first.getDay() + 6) % 7;
+  const [year, month, day] = [first.getFullYear(), first.getMonth(), first.getDate() - sinceMonday];
+  const at = (count) => new Date(year, month, day, count * hours).getTime();
+  const times = [];
+  for (let count = 0; at(count) < toMs; count += 1) {
+    // An hour that is left out falls on the next one.
+    if (at(count) >= fromMs && at(count) !== times.at(-1)) times.push(at(count));
+  }
+  return times;
 }
 
 const sorted = (windows) => windows.toSorted((a, b) => milliseconds(a.start) - milliseconds(b.start));
