@@ -41,6 +41,44 @@ def test_a_revoked_key_ends_the_session_and_says_why(context: BrowserContext, pl
     expect(page.locator(".login .problem")).to_have_text(re.compile("no longer valid"))
 
 
+@pytest.mark.parametrize("role", ["operator", "viewer"])
+def test_what_was_entered_outlives_the_session_of_the_same_role(
+    context: BrowserContext, plant: Plant, role: str
+) -> None:
+    made = plant.client.post("/api/v1/keys", json={"role": "operator"}).json()
+    page = context.new_page()
+    page.goto(f"{plant.address}/#key={made['key']}")
+    page.locator("nav.tabs a[aria-current]").wait_for()
+    page.goto(f"{plant.address}/#alarms/{BEARING}")
+    page.get_by_role("button", name="Silence…").click()
+    reason = page.get_by_label("Reason")
+    reason.fill("Test of the sensors")
+    assert plant.client.delete(f"/api/v1/keys/{made['id']}").is_success
+    log_in = page.get_by_role("dialog", name="Log in")
+    expect(log_in).to_contain_text("Log in with a key of the role operator to keep your input")
+    expect(page.locator("#lost")).to_contain_text("Session ended")
+    for _ in range(3):
+        page.keyboard.press("Escape")
+    expect(log_in).to_be_visible()
+    log_in.get_by_label("Access key").fill(plant.key_of(role))
+    log_in.get_by_role("button", name="Log in").click()
+    expect(log_in).to_have_count(0)
+    expect(page.locator("nav.tabs a[aria-current]")).to_have_text("Alarms")
+    expect(page.locator("#lost")).to_be_empty()
+    if role == "viewer":
+        expect(page.get_by_role("dialog")).to_have_count(0)
+        return
+    expect(reason).to_have_value("Test of the sensors")
+    expect(page.locator("body")).not_to_have_class(re.compile("offline"))
+    page.get_by_role("spinbutton", name="Duration").fill("15")
+    page.get_by_role("dialog").get_by_role("button", name="Silence").click()
+    expect(page.locator("main")).to_contain_text("Test of the sensors")
+    silences = plant.get("/silences")["items"]
+    assert [one["comment"] for one in silences] == ["Test of the sensors"]
+    for one in silences:
+        assert plant.client.delete(f"/api/v1/silences/{one['id']}").is_success
+
+
 @pytest.mark.thorough
 def test_a_call_without_a_session_leads_to_the_login_and_back(
     screen: Callable[..., Page], plant: Plant

@@ -42,7 +42,8 @@ const state = {
     profile: [{ duration_s: 3600, speed_rpm: 1500, load_n: 800 }],
     time_to_limit: { t_inner_ring_c: { warning: never, alarm: never } } },
 };
-if (verdict) state.verdict = { ...verdict, heardMs: performance.now() - heard_ago_ms };
+if (verdict) state.verdict = { ...verdict, heard: {
+  wallMs: Date.now(), runningMs: performance.now() - heard_ago_ms } };
 const now = situation(state, clock);
 const tiles = [nowTile(now, null), nextStepTile(now), liveLimitTile(now)]
   .map((tile) => nodesOf(tile).firstChild);

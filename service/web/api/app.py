@@ -97,7 +97,7 @@ def create_app(context: ServiceContext) -> FastAPI:
     app.state.uploads = asyncio.Lock()
     install_handlers(app)
     _add_routes(app)
-    app.router.routes.append(page_route(_DASHBOARD / "index.html"))
+    app.router.routes.append(page_route(_DASHBOARD))
     app.router.routes.extend(packed_routes(packed_files(_DASHBOARD)))
     app.frontend("/", directory=_DASHBOARD, fallback=None)
     return app

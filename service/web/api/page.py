@@ -3,6 +3,9 @@
 The page learns whether someone opened it by hand. A link may carry a key (``#key=…``, as the demo
 prints it). From another site such a link would log a browser in without its user knowing. Only the
 browser knows where the link was, and it says so to the service alone.
+
+The page also learns its version, so that one that was opened before an update finds another one
+here and loads again.
 """
 
 import hashlib
@@ -18,11 +21,16 @@ from starlette.staticfiles import NotModifiedResponse
 
 _BEGIN = b"<html "
 _BY_HAND = b'<html data-opened="by-hand" '
+#: Enough for the page to see that it is another one.
+_VERSION_LENGTH = 16
 
 
-def page_route(index: Path) -> Route:
-    """Make the route of ``/``."""
-    otherwise = index.read_bytes()
+def page_route(static: Path) -> Route:
+    """Make the route of ``/`` from the folder of the dashboard."""
+    index = (static / "index.html").read_bytes()
+    otherwise = index.replace(
+        _BEGIN, b'<html data-version="%s" ' % page_version(static).encode(), 1
+    )
     by_hand = otherwise.replace(_BEGIN, _BY_HAND, 1)
 
     async def page(request: Request) -> Response:
@@ -32,6 +40,14 @@ def page_route(index: Path) -> Route:
         return Response(body, media_type="text/html", headers={"Cache-Control": "no-store"})
 
     return Route("/", page, include_in_schema=False)
+
+
+def page_version(static: Path) -> str:
+    """Tell the files of a dashboard from those of any other version."""
+    digest = hashlib.sha256()
+    for path in sorted(one for one in static.rglob("*") if one.is_file()):
+        digest.update(path.relative_to(static).as_posix().encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()[:_VERSION_LENGTH]
 
 
 def packed_routes(files: Mapping[str, str]) -> list[Route]:

@@ -1,8 +1,14 @@
 """How the files of the page are sent, those of the folder and those that are packed."""
 
+import re
+import shutil
+from pathlib import Path
 from typing import Any
 
 import pytest
+
+from service.web.api.page import page_version
+from service.web.pages import static_directory
 
 PACKED = ("/js/app.js", "/js/parts/dom.js", "/css/first.css")
 
@@ -24,6 +30,18 @@ async def test_a_browser_asks_again_and_gets_a_file_once(world: Any, path: str) 
     head = await client.head(path)
     assert (head.status_code, head.headers["etag"]) == (200, first.headers["etag"])
     assert (await client.post(path, json={})).status_code in (404, 405)
+
+
+async def test_the_page_says_which_version_it_is(world: Any, tmp_path: Path) -> None:
+    client = world.client()
+    first = (await client.get("/")).text
+    version = re.findall(r'<html data-version="([0-9a-f]{16})" ', first)
+    assert len(version) == 1
+    assert (await client.get("/", headers={"Sec-Fetch-Site": "none"})).text.count(version[0]) == 1
+    static = Path(shutil.copytree(static_directory(), tmp_path / "static"))
+    assert page_version(static) == version[0]
+    (static / "js/whatif/view.js").write_text("export class View {}\n")
+    assert page_version(static) != version[0]
 
 
 async def test_the_packed_files_are_sent_compressed(world: Any) -> None:

@@ -9,11 +9,12 @@ import { find } from './parts/dom.js';
 import { draw, place, v } from './parts/panel.js';
 import { Banner, driverChips, Header, lostState, showLost, sourceChips } from './app/frame.js';
 import { listAssets, Live } from './live/live.js';
-import { Login, logInFromAddress, logOut } from './app/login.js';
+import { Login, logInAbove, logInFromAddress, logOut } from './app/login.js';
 import { assetHash, readHash } from './app/route.js';
 import { liveDetail, situation } from './live/situation.js';
 import { emptyAsset } from './live/store.js';
 import { fetchStyle } from './app/styles.js';
+import { loadVersion, otherVersion } from './app/update.js';
 import { VIEWS } from './app/views.js';
 import { OperatorView } from './operator/view.js';
 import { showWaiting } from './alarms/list.js';
@@ -22,16 +23,23 @@ const FETCH_OTHERS_MS = 3000;
 /** Views that show no asset of their own, and those that can be shown without any. */
 const OF_ALL = Object.keys(VIEWS).filter((name) => VIEWS[name].of);
 const OF_NONE = OF_ALL.filter((name) => VIEWS[name].of === 'none');
+/** Views without a form, as they hang on a wall. */
+const WATCHED = ['operator', 'fleet'];
 const ROLES = ['viewer', 'operator', 'engineer', 'admin'];
 const TICK_MS = 250;
+const SESSION_OVER = 'Your key is no longer valid, or your session has ended.';
 const AWAY_RETRY_MS = 3000;
 const clock = new ProcessClock();
 const live = new Live(clock, {
-  onLoggedOut: () => start('Your key is no longer valid, or your session has ended.'),
+  onLoggedOut: logInAgain,
   onAssets: takeAssets,
   onLink: () => {
     refresh();
     updateFrame();
+  },
+  onReturn: async () => {
+    newVersion = await otherVersion();
+    header.update({ newVersion });
   },
   onFeed: (one) => one.store.on(['alarms', 'forecast', 'verdict', 'tags', 'link'], updateFrame, 250),
 });
@@ -44,6 +52,7 @@ let view = null;
 let latest = 0; // number of the view that was asked for last
 let feed = null; // of the asset that is looked at
 let shown = ''; // name of the view on the page; '' where the address leads nowhere
+let newVersion = null; // of the page, where the service has had another one since this was opened
 
 const several = () => assets.length > 1;
 const may = (role) => ROLES.indexOf(session?.role) >= ROLES.indexOf(role);
@@ -95,6 +104,7 @@ const header = place(find('#top'), Header, {
   ...SIGNED_OUT, clock, link: live.link, theme: '', actions: {
     chooseAsset: (id) => page.openAsset(id, viewName()),
     switchTheme: () => setTheme(document.documentElement.dataset.theme === 'dark' ? 'light' : 'dark'),
+    loadNewVersion: () => loadVersion(newVersion),
     logOut: async () => {
       live.stop();
       await whileAway(logOut);
@@ -216,13 +226,18 @@ function refresh() {
   showLost(find('#lost'), state ? lostState(state, clock, ofNone()) : null, () => live.stream?.tryNow());
   sound.tick();
   showLink();
+  if (newVersion && isOnlyWatched()) loadVersion(newVersion);
 }
+
+/** Whether loading the page again costs its users nothing: no input, and no sound until they click. */
+const isOnlyWatched = () => WATCHED.includes(shown) && live.link.status === 'live'
+  && !document.querySelector('dialog[open]') && !sound.isOn;
 
 const chipsShown = (state) => (ofNone() ? driverChips(state, clock) : sourceChips(state, clock));
 
 /** A page without connection looks out of date and takes no input. */
 function showLink() {
-  const offline = Boolean(live.stream) && live.link.status === 'offline';
+  const offline = live.link.status === 'offline';
   document.body.classList.toggle('offline', offline);
   main.inert = offline;
 }
@@ -266,6 +281,20 @@ async function whileAway(action) {
   }
 }
 
+/** What was entered in the view, or in a dialog, is kept for a user of the same role. */
+async function logInAgain() {
+  const keeps = view && `Log in with a key of the role ${session.role} to keep your input.`;
+  const known = keeps && await logInAbove(`${SESSION_OVER} ${keeps}`);
+  if (known?.role === session.role) {
+    session = known;
+    header.update({ session });
+    live.goOn();
+  } else {
+    live.stop();
+    start(known ? '' : SESSION_OVER);
+  }
+}
+
 async function start(reason = '') {
   view?.destroy();
   view = null;
@@ -295,7 +324,8 @@ async function start(reason = '') {
 setInterval(refresh, TICK_MS);
 setInterval(updateFrame, 1000); // times to limits run down between messages
 window.addEventListener('hashchange', () => {
-  if (live.stream) follow();
+  if (newVersion) loadVersion(newVersion);
+  else if (live.stream) follow();
 });
 setTheme(localStorage.getItem('theme') ?? 'dark');
 

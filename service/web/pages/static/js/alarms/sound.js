@@ -42,8 +42,12 @@ export class AlarmSound {
       alarm.state === 'UNACK' && alarm.priority <= this.lowest) : [];
   }
 
+  get isOn() {
+    return Boolean(this.lowest) && this.context?.state === 'running';
+  }
+
   get waits() {
-    return Boolean(this.lowest) && this.context?.state !== 'running';
+    return Boolean(this.lowest) && !this.isOn;
   }
 
   wake() {

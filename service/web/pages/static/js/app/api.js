@@ -69,8 +69,9 @@ async function ask(path, options, read) {
     if (signal?.aborted) throw error;
     throw new ApiError(0, 'the service does not answer');
   }
-  if (refusal.status === 401 && path !== SESSION) refusedKey();
-  throw refusal;
+  if (refusal.status !== 401 || path === SESSION) throw refusal;
+  refusedKey();
+  throw new ApiError(401, 'your session has ended');
 }
 
 /**

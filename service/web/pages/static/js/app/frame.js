@@ -6,6 +6,7 @@ import {
 } from '../parts/format.js';
 import { icon, logo } from '../parts/icons.js';
 import { draw, Panel, select, unless, v } from '../parts/panel.js';
+import { ageMs } from '../live/age.js';
 import { currentVerdict, listed, missingChannels } from '../live/verdict.js';
 import { MOST_FOLLOWED } from '../live/live.js';
 import { bySource, isDistrust, limitedReadings, readChannel } from '../live/readings.js';
@@ -64,7 +65,7 @@ export class Header extends Panel {
     }
   }
 
-  render({ actions, theme, session, views, sources, jobs }) {
+  render({ actions, theme, session, views, sources, jobs, newVersion }) {
     return [
       v('div', { class: 'brand' }, logo(), v('span', {}, 'Bearing Twin')), v('div', { class: 'asset' }, this.asset()),
       v('nav', { class: 'tabs', 'aria-label': 'Views' }, views.map(({ title, href, current, reason }) => v('a', {
@@ -72,7 +73,9 @@ export class Header extends Panel {
         role: reason ? 'link' : null, 'aria-disabled': reason ? 'true' : null,
         tabindex: reason ? 0 : null, title: reason || null,
       }, title))),
-      v('div', { class: 'sp' }, jobStrip(currentJob(jobs))),
+      v('div', { class: 'sp' }, jobStrip(currentJob(jobs)), newVersion && v('button', { class: 'btn sm',
+        type: 'button', title: 'The service has been updated; this page is of the version before.',
+        onclick: actions.loadNewVersion }, 'Load new version')),
       v('div', { class: 'conn', role: 'group', 'aria-label': 'Sources' }, this.sources(sources)),
       v('details', { class: 'menu', ref: (menu) => { this.menu = menu; } },
         v('summary', {}, session ? session.role : 'menu'),
@@ -111,7 +114,7 @@ export class Header extends Panel {
     const now = clock.now();
     if (link.status === 'offline') {
       return v('div', { class: 'clock bad' },
-        v('span', {}, `${ageText((Date.now() - link.sinceMs) / 1000)} old`), v('small', {}));
+        v('span', {}, `${ageText(ageMs(link.heard) / 1000)} old`), v('small', {}));
     }
     const rate = clock.rate === 1 ? '' : ` ×${fixed(clock.rate, clock.rate % 1 ? 1 : 0)}`;
     return v('div', { class: 'clock', title: now === null ? '' : utc(now)
@@ -129,12 +132,12 @@ function keyText({ label, prefix, expires_at: expires }) {
 /** What is lost at this moment: { title, ageS, text } or null; `whole`: only of the service. */
 export function lostState(state, clock, whole = false) {
   if (state.link.status === 'offline') {
-    const { sinceMs, nextTryMs } = state.link;
+    const { heard, isOver, lastMs, nextTryMs } = state.link;
     const waitS = Math.max(0, Math.ceil((nextTryMs - Date.now()) / 1000));
     return {
-      title: 'Connection lost', ageS: (Date.now() - sinceMs) / 1000,
-      text: notCurrent(clock, sinceMs),
-      aside: waitS ? `next try in ${waitS} s` : 'Retrying …',
+      title: isOver ? 'Session ended' : 'Connection lost', ageS: ageMs(heard) / 1000,
+      text: notCurrent(lastMs),
+      aside: isOver ? '' : waitS ? `next try in ${waitS} s` : 'Retrying …',
     };
   }
   if (state.link.status !== 'live') return null;
@@ -167,10 +170,9 @@ function consequence(state, clock, lost) {
     ? 'The twin continues with the other sensors.' : 'The forecast uses no sensor.';
 }
 
-/** The time of the values shown: process time runs on while the service does not answer. */
-function notCurrent(clock, sinceMs) {
-  if (clock.now() === null) return 'Values are not current.';
-  const lastMs = clock.now() - (Date.now() - sinceMs) * clock.rate;
+/** lastMs: process time of the last message, null before the first one. */
+function notCurrent(lastMs) {
+  if (lastMs === null) return 'Values are not current.';
   return ['Values are not current (last update ', timeElement(lastMs, hourMinuteSecond(lastMs)), ').'];
 }
 

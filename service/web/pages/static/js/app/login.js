@@ -1,7 +1,7 @@
 // The key of the service becomes a session cookie of this browser; the key itself is not kept.
 import { call, currentSession } from './api.js';
 import { logo } from '../parts/icons.js';
-import { form, Panel, v } from '../parts/panel.js';
+import { draw, form, Panel, place, v } from '../parts/panel.js';
 
 const PREFIX_LENGTH = 'bt_00000000'.length;
 
@@ -42,6 +42,25 @@ export async function logInFromAddress() {
     if (error.status === 0) throw error;
   }
   return '';
+}
+
+/**
+ * Ask for a key above a page that stays as it is until then; resolves with the session, null where the
+ * service does not say whose it is.
+ */
+export async function logInAbove(reason) {
+  const dialog = document.createElement('dialog');
+  dialog.setAttribute('aria-label', 'Log in');
+  document.body.append(dialog);
+  // Escape would close it, or what lies below; nothing here can be done without a session.
+  dialog.setAttribute('closedby', 'none');
+  dialog.addEventListener('keydown', (event) => event.key === 'Escape' && event.preventDefault());
+  dialog.addEventListener('close', () => dialog.isConnected && dialog.showModal());
+  dialog.showModal();
+  await new Promise((done) => { place(dialog, Login, { reason, offered: '', done }); });
+  draw(dialog);
+  dialog.remove();
+  return currentSession().catch(() => null);
 }
 
 /** reason: why the form is there again; offered: a key that came with a link; done(): a key was accepted. */

@@ -7,6 +7,7 @@ import { ageText, fixed, isNumber, joined, milliseconds, percent, spanText } fro
 import { StateMap } from './state_map.js';
 import { headline } from '../alarms/alarm.js';
 import { icon } from '../parts/icons.js';
+import { ageMs, thisMoment } from '../live/age.js';
 import { isDistrust } from '../live/readings.js';
 import { assetHash } from '../app/route.js';
 
@@ -93,7 +94,7 @@ const MOST_ROWS = 1000;
 export class View extends Panel {
   constructor(attributes) {
     super(attributes);
-    Object.assign(this, { heardMs: null, problem: '', choice: new FleetChoice(STATES.map(([state]) => state)) });
+    Object.assign(this, { heard: null, problem: '', choice: new FleetChoice(STATES.map(([state]) => state)) });
     this.map = new StateMap({
       open: (id) => this.page.openAsset(id, 'operator'), explain: (asset) => this.explain(asset),
     });
@@ -151,7 +152,7 @@ export class View extends Panel {
   }
 
   take(answer, map) {
-    Object.assign(this, { heardMs: performance.now(), problem: '', answer });
+    Object.assign(this, { heard: thisMoment(), problem: '', answer });
     const { assets, connection } = this.page;
     // Other assets, or another name of one: their list is read again, and then the map fits it.
     if (answer.revision !== connection.revision) {
@@ -170,7 +171,7 @@ export class View extends Panel {
     const chosen = Boolean(choice.state || choice.text);
     const figure = (count) => count.toLocaleString('en');
     // How old the states are; what is too old is said, and looks so.
-    const silentMs = this.heardMs === null ? null : performance.now() - this.heardMs;
+    const silentMs = this.heard && ageMs(this.heard);
     // However soon the answer came: it is the states in it that may be old.
     const stateS = silentMs === null ? 0 : ageS + silentMs / 1000;
     const late = !document.hidden && (silentMs > OLD_MS || stateS > OLD_STATE_S);

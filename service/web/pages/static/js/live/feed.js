@@ -3,6 +3,7 @@ import { applyAlarm, isShown } from '../alarms/alarm.js';
 import { assetPath, call, callOptional, callPages } from '../app/api.js';
 import { OPERATION } from '../parts/channels.js';
 import { isNumber, milliseconds } from '../parts/format.js';
+import { thisMoment } from './age.js';
 import { channelNames, chartSensors, GOOD, UNCERTAIN } from './readings.js';
 import { emptyAsset, Store } from './store.js';
 import { History } from './minutes.js';
@@ -146,7 +147,7 @@ export class AssetFeed {
   takeVerdict(verdict) {
     const known = this.store.get('verdict');
     if (known && milliseconds(known.time) > milliseconds(verdict.time)) return;
-    this.store.set('verdict', { ...verdict, heardMs: performance.now() });
+    this.store.set('verdict', { ...verdict, heard: thisMoment() });
   }
 
   async showPast(spanMs) {

@@ -34,16 +34,18 @@ const pause = (ms) => new Promise((done) => { setTimeout(done, ms); });
 
 export class Live {
   /** `onFeed(feed)` is called for each asset of which more is known from now on. */
-  constructor(clock, { onLoggedOut, onAssets, onFeed, onLink }) {
+  constructor(clock, { onLoggedOut, onAssets, onFeed, onLink, onReturn }) {
     this.clock = clock;
     this.onLoggedOut = onLoggedOut;
     this.onAssets = onAssets;
     this.onFeed = onFeed;
     this.onLink = onLink;
+    this.onReturn = onReturn;
     this.assets = new Map();
     this.feeds = new Map();
     this.shared = new Map(); // alarms of causes that assets share, also of those without a feed
     this.link = { status: 'connecting' };
+    this.lastMs = null; // process time of the last message
   }
 
   get many() {
@@ -58,15 +60,21 @@ export class Live {
     this.stop();
     this.clock.reset();
     this.epoch = null;
+    this.lastMs = null;
     this.alarmsKnown = false;
     this.feeds = new Map();
     this.shared = new Map();
     this.takeList(list);
     this.setLink({ status: 'connecting' });
+    this.lookAtAll();
+    if (this.many) this.guarded(() => this.learnRate(list.items[0].id));
+  }
+
+  /** Few assets are asked for again and again: what a list shows of them does not come by the stream. */
+  lookAtAll() {
     this.summaryTimer = setInterval(() => {
       if (!this.many) this.guarded(() => this.loadAssets());
     }, SUMMARY_EVERY_MS);
-    if (this.many) this.guarded(() => this.learnRate(list.items[0].id));
   }
 
   async learnRate(id) {
@@ -106,8 +114,9 @@ export class Live {
     this.stream = new Stream({
       message: (message) => this.receive(message),
       up: () => this.isUp(),
-      down: ({ nextTryMs }) => this.goAway(nextTryMs),
+      down: (lost) => this.goAway(lost),
       refused: () => this.isLoggedOut(),
+      hears: () => this.assets.size > 0 && this.stream?.followed?.length !== 0,
     }, ids);
     return true;
   }
@@ -119,6 +128,23 @@ export class Live {
     this.look = null;
     this.feeds.forEach((feed) => feed.stop());
     this.stream = null;
+    this.link = { status: 'connecting' };
+  }
+
+  /** The session is over: nothing more is heard until `goOn`, and what is known stays. */
+  pause() {
+    clearInterval(this.summaryTimer);
+    this.stream.stop();
+    this.goAway({ heard: this.stream.heard, nextTryMs: null, isOver: true });
+  }
+
+  /** The same user is logged in again. */
+  goOn() {
+    const { followed } = this.stream;
+    this.stream = null;
+    this.setLink({ ...this.link, isOver: false });
+    this.lookAtAll();
+    this.follow(followed);
   }
 
   alarms(feeds = null) {
@@ -162,16 +188,18 @@ export class Live {
     if (this.link !== link) return;
     this.setLink({ status: 'live' });
     shown().forEach((feed) => feed.keepHistory());
+    this.onReturn();
   }
 
-  goAway(nextTryMs) {
+  /** isOver: because the session is. */
+  goAway({ heard, nextTryMs, isOver = false }) {
     this.feeds.forEach((feed) => { feed.heardAgain = false; });
-    const sinceMs = this.link.status === 'offline' ? this.link.sinceMs : Date.now();
-    this.setLink({ status: 'offline', sinceMs, nextTryMs });
+    this.setLink({ status: 'offline', heard, lastMs: this.lastMs, nextTryMs, isOver });
   }
 
   /** Whether the session is over; if so, everything ends, once for all who ask meanwhile. */
   isLoggedOut() {
+    if (this.link.isOver) return Promise.resolve(true);
     this.asking ??= this.askForSession().finally(() => { this.asking = null; });
     return this.asking;
   }
@@ -179,7 +207,7 @@ export class Live {
   async askForSession() {
     const isOver = await currentSession().then((session) => !session, () => false);
     if (isOver) {
-      this.stop();
+      if (this.stream) this.pause();
       this.onLoggedOut();
     }
     return isOver;
@@ -201,6 +229,7 @@ export class Live {
     // A restarted service may have another clock.
     if (restarted) this.clock.reset();
     this.clock.update(...times);
+    this.lastMs = this.clock.now();
     if (type === 'alarm' && isShared(message.data)) {
       this.newerAlarms?.push(message.data);
       this.takeAlarm(message.data);

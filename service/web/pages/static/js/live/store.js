@@ -51,7 +51,7 @@ export const emptyAsset = () => ({
   tags: {}, // { name: { value, quality, time (ms), unit } }
   nodes: null, // latest state message
   forecast: null,
-  verdict: null, // latest verdict of the service, with heardMs
+  verdict: null, // latest verdict of the service, with the moment `heard`
   alarms: new Map(),
   alarmsKnown: false, // whether the alarms were received since the service was started
   jobs: new Map(),
