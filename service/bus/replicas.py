@@ -39,6 +39,8 @@ class Replicas:
     ----------
     assets : mapping of str to AssetReplica
         By id, in the order of the configuration; those that came later follow.
+    names : collection of str
+        Ids of all assets at the last look, also of those whose documents are not here yet.
     revision : str
         Another one when assets have come or gone, or the table of one has changed.
     """
@@ -47,6 +49,7 @@ class Replicas:
     questions: Questions | None = None
     fresh_s: float = FRESH_S
     assets: dict[str, AssetReplica] = field(default_factory=dict)
+    names: Collection[str] = ()
     revision: str = ""
     _loaded: int = -1
     _numbers: dict[str, int] = field(default_factory=dict)
@@ -69,6 +72,7 @@ class Replicas:
                 for name, number in numbers.items()
                 if self._numbers.get(name) != number
             }
+            self.names = numbers.keys()
             # No client gets an asset whose documents are not here yet.
             await self._refresh(new.values(), _ALL)
             for gone in self.assets.keys() - numbers.keys():

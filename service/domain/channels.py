@@ -78,7 +78,9 @@ def label(channel: str) -> str:
 
 def unit_of(name: str) -> str:
     """Unit of a channel or of a tag of it such as ``t_inner_ring_c.twin``; empty without one."""
-    channel = name.partition(".")[0]
+    channel, _, what = name.partition(".")
+    if what.startswith("time_to_"):
+        return "s"
     if channel in _BY_NAME:
         return _BY_NAME[channel].unit
     return _UNITS.get(channel[channel.rfind("_") :], "") if "_" in channel else ""

@@ -45,6 +45,7 @@ class Host:
       good, and no verdict of it is safe. None without such an asset, or before its first snapshot.
     - ``open_alarms``: the alarms that are not over, as `GET /alarms` shows them; None while the
       cell does not answer.
+    - ``is_known``: whether there is such an asset, also one whose cell has not answered yet.
     """
 
     authenticator: "Authenticator"
@@ -55,6 +56,7 @@ class Host:
     history: "ChannelHistory | None" = None
     now_us: Callable[[], int] = wall_us
     open_alarms: Callable[[], Awaitable[Sequence[Mapping[str, object]] | None]] = _not_known
+    is_known: Callable[[str], bool] = lambda asset: False
 
 
 class Publisher(Protocol):
@@ -72,8 +74,9 @@ class Publisher(Protocol):
       certificate, a fresh register map). Later calls bring those that changed, or are new.
     - Assets come and go during a round. The tags of a new asset come as those of the others did.
       Tags of a removed asset, or of a node that the active model does not have any more, come once
-      more without a value and with a bad quality; then `withdraw_tags` has their names. It may
-      also have tags of an earlier round, which this round has not published.
+      more without a value and with a bad quality; then `withdraw_tags` has their names. So do
+      those of an earlier round, which this round has not published, and, where the publisher is
+      `Keeping`, of an earlier process.
     - `run` begins after the first tags, so that a server never shows assets without values. It
       goes on until it is cancelled, or raises when the round is over (a lost connection).
     - `publish_tags`, `withdraw_tags` and `publish_alarm` may be called at the same time as `run`,
@@ -120,6 +123,15 @@ class Certified(Protocol):
 
     def certificate_ends_at(self) -> datetime | None:
         """When it ends; None while there is none."""
+
+
+@runtime_checkable
+class Keeping(Protocol):
+    """A publisher whose receiver keeps tags when the service has ended."""
+
+    @property
+    def receiver(self) -> str:
+        """Names the receiver, and the place there; tags are withdrawn only where they were put."""
 
 
 class Endpoint(NamedTuple):

@@ -18,9 +18,12 @@ from adapters.samples import Quality
 from service.bus.replica import AssetReplica
 from service.bus.stream import LiveMessages
 from service.bus.subscription import Message, Subscription, SubscriptionClosedError
+from service.clock import rfc3339
+from service.domain.channels import unit_of
 from service.domain.errors import CellUnavailableError
 from service.live.guard import Guard
-from service.plant.protocol import Certified, Host, Publisher, TagValue
+from service.plant.kept_tags import KeptTags
+from service.plant.protocol import Certified, Host, Keeping, Publisher, TagValue
 from service.plant.publishers import enabled
 from service.site.settings import Settings
 
@@ -63,8 +66,14 @@ class PublisherRounds:
         self._host = host
         self._guards: dict[str, Guard] = {}
         self._closing = Guard(f"{name}_close", "")
-        # What was handed on last, also in earlier rounds; None where that has not been taken.
+        # What was handed on last, also in earlier rounds; None where that has not been taken, or
+        # was handed on by an earlier process.
         self._known: dict[str, dict[str, TagValue | None]] = {}
+        self._kept = (
+            KeptTags(host.data_dir / name, name, publisher.receiver)
+            if isinstance(publisher, Keeping)
+            else None
+        )
         self._alarms: Subscription | None = None
         self._unsent: Message | None = None
         self._publishing = asyncio.Lock()
@@ -91,12 +100,16 @@ class PublisherRounds:
     async def run(self) -> None:
         """Publish until cancelled; open again, ever more slowly, whenever that fails."""
         self._alarms = self._subscribe()
+        if self._kept is not None:
+            kept = await self._kept.read()
+            self._known = {asset: dict.fromkeys(tags) for asset, tags in kept.items()}
         backoff = Backoff(REOPEN_FIRST_S, REOPEN_LAST_S)
         away = False
         while True:
             try:
                 await self.publisher.open(self._host)
                 self._known = {asset: dict.fromkeys(tags) for asset, tags in self._known.items()}
+                await self._note_all()
                 await self.publish_tags()
                 self.begun.set()
                 backoff.reset()
@@ -124,15 +137,26 @@ class PublisherRounds:
         async with self._publishing:
             await self._publish_changes()
 
+    async def _note_all(self) -> None:
+        """Note the tags of all assets at once: one by one, thousands take long."""
+        if self._kept is not None:
+            shown = {asset: self._tags(asset, twin) for asset, twin in list(self._assets.items())}
+            await self._kept.add({asset: tags for asset, tags in shown.items() if tags})
+
     async def _publish_changes(self) -> None:
         refused = 0
         # A copy: assets come and go while the publisher takes its time.
         for asset, twin in list(self._assets.items()):
             tags = self._tags(asset, twin)
-            if tags is not None:
-                refused += await self._publish(asset, tags)
-                await self._withdraw(asset, self._known[asset].keys() - tags.keys())
+            if tags is None:
+                refused += await self._publish_waiting(asset)
+                continue
+            refused += await self._publish(asset, tags)
+            await self._withdraw(asset, self._known[asset].keys() - tags.keys())
         for asset in self._known.keys() - self._assets.keys():
+            if self._host.is_known(asset):
+                refused += await self._publish_waiting(asset)
+                continue
             await self._withdraw(asset, list(self._known[asset]))
             del self._known[asset]
             self._guards.pop(asset, None)
@@ -152,23 +176,43 @@ class PublisherRounds:
         changed = {tag: shown for tag, shown in tags.items() if known.get(tag) != shown}
         if not changed:
             return 0
+        if self._kept is not None:
+            await self._kept.add({asset: changed})
         # Should the round end now, some may have been taken.
         known |= dict.fromkeys(changed)
         left = await self.publisher.publish_tags(asset, changed)
         known |= {tag: shown for tag, shown in changed.items() if tag not in left}
         return len(left)
 
+    async def _publish_waiting(self, asset: str) -> int:
+        """Show no value for what only earlier rounds have handed on, of an asset without an answer.
+
+        It may be long gone, or have changed; returns how many tags were refused.
+        """
+        known = self._known.get(asset, {})
+        waiting = Quality.WAITING_FOR_INITIAL_DATA
+        tags = {tag: self._valueless(tag, waiting) for tag, shown in known.items() if shown is None}
+        return await self._publish(asset, tags)
+
     async def _withdraw(self, asset: str, gone: Collection[str]) -> None:
         """Take tags back: a client that follows one sees first that it has no value any more."""
         if not gone:
             return
         known = self._known[asset]
-        last = {tag: _out_of_service(shown) for tag in gone if (shown := known[tag]) is not None}
-        if last:
-            await self.publisher.publish_tags(asset, last)
+        last = {tag: self._valueless(tag, Quality.OUT_OF_SERVICE, known[tag]) for tag in gone}
+        await self.publisher.publish_tags(asset, last)
         await self.publisher.withdraw_tags(asset, gone)
+        if self._kept is not None:
+            await self._kept.remove(asset, gone)
         for tag in gone:
             del known[tag]
+
+    def _valueless(self, tag: str, quality: Quality, last: TagValue | None = None) -> TagValue:
+        """A tag without a value, of the time of its last one where that is known."""
+        if last is not None:
+            return {**last, "value": None, "quality": int(quality)}
+        now = rfc3339(self._host.now_us())
+        return {"value": None, "unit": unit_of(tag), "quality": int(quality), "time": now}
 
     async def _run_publisher(self) -> None:
         await self.publisher.run()
@@ -212,10 +256,6 @@ class PublisherRounds:
 
     def _subscribe(self) -> Subscription:
         return self._bus.subscribe(types={"alarm"}, capacity=_ALARMS_KEPT)
-
-
-def _out_of_service(shown: TagValue) -> TagValue:
-    return {**shown, "value": None, "quality": int(Quality.OUT_OF_SERVICE)}
 
 
 def _reason(error: BaseException) -> str:

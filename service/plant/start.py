@@ -121,6 +121,7 @@ async def _run(settings: Settings, stop: asyncio.Event, ready: Callable[[], None
             history=store.channel_history,
             now_us=clock.now_us,
             open_alarms=partial(_open_alarms, reader),
+            is_known=partial(_is_of_site, reader, replicas),
         )
         publishers += make_publishers(settings, replicas.assets, bus, host, registry)
         for one in publishers:
@@ -147,6 +148,11 @@ async def _is_known(reader: ReaderBus, replicas: Replicas) -> bool:
     except CellUnavailableError:
         return False
     return True
+
+
+def _is_of_site(reader: ReaderBus, replicas: Replicas, asset: str) -> bool:
+    """Whether there is such an asset, also one that no cell has answered about yet."""
+    return asset in replicas.names or (isinstance(reader, Fleet) and reader.is_known(asset))
 
 
 def _tags_of(replicas: Replicas, asset: str) -> Mapping[str, TagValue] | None:

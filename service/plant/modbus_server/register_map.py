@@ -170,9 +170,8 @@ def _entries(assets: Sequence[str], tags: Sequence[MappedTag]) -> list[Entry]:
         head.append(Entry("register", PERMISSIVE + number, 1, "uint16", name, ""))
     for number, (asset, tag) in enumerate(tags):
         begin = FIRST_TAG + TAG_REGISTERS * number
-        unit = "s" if ".time_to_" in tag else unit_of(tag)
         head += [
-            Entry("register", begin, 2, "float32", f"{asset}/{tag}", unit),
+            Entry("register", begin, 2, "float32", f"{asset}/{tag}", unit_of(tag)),
             Entry("register", begin + 2, 1, "uint16", f"{asset}/{tag} quality", ""),
             Entry("register", begin + 3, 1, "uint16", f"{asset}/{tag} age", "s"),
         ]

@@ -3,7 +3,8 @@
 Below the prefix of the configuration:
 
 ``status``
-    ``online`` or ``offline``, retained; the broker itself says ``offline`` when we are lost.
+    ``online`` or ``offline``, retained; the broker itself says ``offline`` when we are lost. It is
+    ``online`` only after all tags of the round: what an earlier process left is withdrawn by then.
 ``ASSET/TAG``
     ``{"value", "unit", "quality", "time"}`` as in the snapshot, retained. For a tag that is gone
     an empty payload follows, which has the broker forget the topic.
@@ -43,6 +44,11 @@ class MqttPublisher:
         # Ids of the alarms that are not over; None while that is not known.
         self._open: set[str] | None = None
 
+    @property
+    def receiver(self) -> str:
+        """Broker and prefix."""
+        return f"{self._section.host}:{self._section.port}/{self._section.topic_prefix}"
+
     async def open(self, host: Host) -> None:
         """Connect."""
         section = self._section
@@ -64,7 +70,8 @@ class MqttPublisher:
         except MqttError as error:
             raise MqttError(f"{section.host}:{section.port}: {error}") from error
         self._client = client
-        await client.publish(self._topic("status"), b"online", qos=1, retain=True)
+        # The broker may not have noticed yet that an earlier connection is lost.
+        await client.publish(self._topic("status"), b"offline", qos=1, retain=True)
         await self._keep_open_alarms(client, await host.open_alarms())
         _log.info("mqtt_connected", host=section.host, port=section.port)
 
@@ -79,10 +86,11 @@ class MqttPublisher:
             await client.subscribe(self._topic("service", "alarms", "+"), qos=1)
 
     async def run(self) -> None:
-        """Have the broker forget alarms that ended while we were away.
+        """Say that we are online, and have the broker forget alarms that ended while we were away.
 
         It raises `MqttError` when the connection is gone, even if there is nothing to publish.
         """
+        await self._connected.publish(self._topic("status"), b"online", qos=1, retain=True)
         async for message in self._connected.messages:
             name = str(message.topic).rpartition("/")[2]
             if message.payload and self._open is not None and name not in self._open:

@@ -141,7 +141,7 @@ class OpcUaPublisher:
         """Delete the variables, and with the last one the asset's object."""
         variables = self._variables.get(asset)
         if variables is None:
-            return  # an earlier server had them
+            return  # none of them could be shown
         variables.difference_update(tags)
         object_id = self._node_id(asset)
         deleted = [self._node_id(asset, tag) for tag in tags]

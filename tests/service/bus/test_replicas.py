@@ -51,6 +51,7 @@ async def test_an_asset_whose_documents_came_too_late_is_learned_all_the_same() 
         await asyncio.sleep(0)
         await replicas.load()
         assert not replicas.assets
+        assert [*replicas.names] == ["axle-1"], "there is one"
         tasks.append(asyncio.create_task(replicas.follow()))
         for _ in range(3000):
             if "axle-1" in replicas.assets:

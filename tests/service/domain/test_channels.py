@@ -34,6 +34,7 @@ from service.web.pages import channels as pages
 def test_a_channel_has_one_name_for_people_and_one_unit(name: str, said: str, unit: str) -> None:
     assert (label(name), unit_of(name)) == (said, unit)
     assert unit_of(f"{name}.twin") == unit
+    assert unit_of(f"{name}.time_to_alarm_s") == "s"
 
 
 def test_the_units_of_the_table_are_those_of_the_names() -> None:

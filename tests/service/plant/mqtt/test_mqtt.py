@@ -2,167 +2,27 @@
 
 import asyncio
 import json
-import signal
 import socket
-import subprocess
 import sys
-from collections.abc import AsyncIterator, Iterator
-from contextlib import asynccontextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 from aiomqtt import Client
-from processes import free_port, wait_until
-from programs import needed
+from mqtt_site import PATIENCE_S, Asset, Broker, listening, publishing, retained, section, tag
 
 from adapters.samples import Quality
 from service.bus.stream import LiveMessages
 from service.clock import ProcessClock
 from service.plant import publishers as outlets
 from service.plant import rounds
-from service.plant.mqtt import PERIOD_S
 from service.plant.mqtt.client import MqttClient
-from service.plant.mqtt.publisher import MqttPublisher
 from service.plant.protocol import Host
 from service.site.configuration import SettingsError
 from service.site.settings import MqttSection, Settings
 
 pytestmark = pytest.mark.wires
-PATIENCE_S = 30.0
-
-
-class Broker:
-    """mosquitto on a port of its own, with the users twin and ear."""
-
-    def __init__(self, folder: Path) -> None:
-        self._program = needed("mosquitto")
-        self.port = free_port()
-        self._passwords = folder / "passwords"
-        self._passwords.touch(mode=0o600)
-        self._process: subprocess.Popen[bytes] | None = None
-        for user in ("twin", "ear"):
-            self.permit(user)
-        self._configuration = folder / "mosquitto.conf"
-        self._configuration.write_text(
-            f"listener {self.port} 127.0.0.1\nallow_anonymous false\n"
-            f"password_file {self._passwords}\nuser root\n"
-        )
-        self._log = folder / "mosquitto.log"
-
-    def permit(self, user: str) -> None:
-        """Let a user in, at once if the broker runs."""
-        subprocess.run(
-            ["mosquitto_passwd", "-b", self._passwords, user, "secret"], check=True, timeout=20
-        )
-        if self._process is not None:
-            self._process.send_signal(signal.SIGHUP)
-
-    def forbid(self, user: str) -> None:
-        """Let a user in no more when the broker starts the next time."""
-        subprocess.run(["mosquitto_passwd", "-D", self._passwords, user], check=True, timeout=20)
-
-    def start(self) -> None:
-        with self._log.open("ab") as log:
-            self._process = subprocess.Popen([self._program, "-c", self._configuration], stderr=log)
-
-        def listens() -> bool:
-            with socket.socket() as probe:
-                return probe.connect_ex(("127.0.0.1", self.port)) == 0
-
-        wait_until(listens, PATIENCE_S, "mosquitto listens")
-
-    def stop(self) -> None:
-        if self._process is not None:
-            self._process.kill()
-            self._process.wait(10)
-            self._process = None
-
-
-@pytest.fixture
-def broker(tmp_path: Path) -> Iterator[Broker]:
-    broker = Broker(tmp_path)
-    broker.start()
-    yield broker
-    broker.stop()
-
-
-class Asset:
-    """An asset whose tags a test sets."""
-
-    def __init__(self) -> None:
-        self.tags = {"t_inner_ring_c": tag(61.5), "t_inner_ring_c.twin": tag(61.0)}
-
-    def snapshot(self) -> dict[str, Any]:
-        return {"tags": dict(self.tags)}
-
-
-def tag(value: float | None, quality: int = 192) -> dict[str, Any]:
-    time = "2026-11-21T08:00:00.000Z"
-    return {"value": value, "unit": "°C", "quality": quality, "time": time}
-
-
-def section(broker: Broker, **more: Any) -> MqttSection:
-    given = {"host": "127.0.0.1", "port": broker.port, "topic_prefix": "works/hall-2"}
-    given |= {"enabled": True, "username": "twin", "password": "secret"}
-    return MqttSection.model_validate(given | more)
-
-
-class Listener:
-    """Hears all topics."""
-
-    def __init__(self, client: MqttClient) -> None:
-        self._messages = aiter(client.messages)
-
-    async def all_until(self, *topics: str) -> dict[str, tuple[str, bool]]:
-        """What is heard until there was something on each of these topics."""
-        heard: dict[str, tuple[str, bool]] = {}
-        async with asyncio.timeout(PATIENCE_S):
-            while not heard.keys() >= set(topics):
-                message = await anext(self._messages)
-                topic = str(message.topic).removeprefix("works/hall-2/")
-                heard[topic] = bytes(message.payload).decode(), message.retain
-        return heard
-
-    async def hear(self, topic: str, payload: Any = ...) -> tuple[Any, bool]:
-        """Wait for a payload on a topic; gives it and whether it was retained."""
-        async with asyncio.timeout(PATIENCE_S):
-            while True:
-                message = await anext(self._messages)
-                text = bytes(message.payload).decode()
-                found = json.loads(text) if text.startswith("{") else text
-                if str(message.topic) == f"works/hall-2/{topic}" and payload in (..., found):
-                    return found, message.retain
-
-
-@asynccontextmanager
-async def listening(broker: Broker) -> AsyncIterator[Listener]:
-    async with MqttClient(
-        "127.0.0.1", broker.port, username="ear", password="secret", timeout=PATIENCE_S
-    ) as client:
-        await client.subscribe("works/#", qos=1)
-        yield Listener(client)
-
-
-@asynccontextmanager
-async def publishing(
-    host: Host,
-    settings: MqttSection,
-    asset: Asset,
-    bus: LiveMessages,
-    assets: dict[str, Any] | None = None,
-) -> AsyncIterator[None]:
-    publisher = rounds.PublisherRounds(
-        "mqtt", MqttPublisher(settings), PERIOD_S, assets or {"bench-1": asset}, bus, host
-    )
-    running = asyncio.create_task(publisher.run())
-    try:
-        yield
-        assert not running.done(), running
-    finally:
-        running.cancel()
-        await asyncio.gather(running, return_exceptions=True)
 
 
 async def test_tags_alarms_and_status(broker: Broker, host: Host) -> None:
@@ -171,7 +31,7 @@ async def test_tags_alarms_and_status(broker: Broker, host: Host) -> None:
         async with listening(broker) as listener:
             await listener.hear("bench-1/t_inner_ring_c.twin", tag(61.0))
         async with listening(broker) as listener:  # who comes later finds what is retained
-            assert await listener.hear("status") == ("online", True)
+            await listener.hear("status", "online")
         async with listening(broker) as listener:
             assert await listener.hear("bench-1/t_inner_ring_c") == (tag(61.5), True)
             asset.tags["t_inner_ring_c"] = tag(None, 16)
@@ -202,18 +62,9 @@ async def test_the_broker_forgets_the_topics_of_an_asset_that_is_gone(
             # comes after them says that all of them are.
             assets["bench-3"] = Asset()
             await listener.hear("bench-3/t_inner_ring_c")
-        async with MqttClient(
-            "127.0.0.1", broker.port, username="ear", password="secret", timeout=PATIENCE_S
-        ) as late:
-            await late.subscribe("works/#", qos=1)
-            await late.publish("works/last", b"", qos=1)
-            retained = []
-            async for message in late.messages:
-                if str(message.topic) == "works/last":
-                    break
-                retained.append(str(message.topic).removeprefix("works/hall-2/"))
-    assert sorted(topic for topic in retained if topic.startswith("bench")) == [
-        f"bench-{number}/t_inner_ring_c{end}" for number in (2, 3) for end in ("", ".twin")
+        found = await retained(broker)
+    assert sorted(topic for topic in found if "/bench" in topic) == [
+        f"hall-2/bench-{number}/t_inner_ring_c{end}" for number in (2, 3) for end in ("", ".twin")
     ]
 
 
@@ -295,6 +146,7 @@ async def test_open_alarms_can_be_had_by_who_connects_late(broker: Broker, host:
 
 LOST = """
 import asyncio, sys
+from pathlib import Path
 from service.clock import ProcessClock
 from adapters.samples import Quality
 from service.bus.stream import LiveMessages
@@ -304,17 +156,19 @@ from service.plant.protocol import Host
 from service.plant.rounds import PublisherRounds
 from service.site.settings import MqttSection
 section = MqttSection.model_validate_json(sys.argv[1])
-host = Host(None, None, None)  # it asks for no keys and keeps no files
+host = Host(None, None, Path(sys.argv[2]))  # it asks for no keys
 publisher = MqttPublisher(section)
 asyncio.run(PublisherRounds("mqtt", publisher, 1.0, {}, LiveMessages(ProcessClock()), host).run())
 """
 
 
-async def test_the_broker_says_offline_for_a_service_that_is_lost(broker: Broker) -> None:
+async def test_the_broker_says_offline_for_a_service_that_is_lost(
+    broker: Broker, tmp_path: Path
+) -> None:
     given = section(broker).model_dump() | {"password": "secret"}
     async with listening(broker) as listener:
         process = await asyncio.create_subprocess_exec(
-            sys.executable, "-c", LOST, json.dumps(given)
+            sys.executable, "-c", LOST, json.dumps(given), str(tmp_path)
         )
         try:
             await listener.hear("status", "online")
