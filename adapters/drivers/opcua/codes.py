@@ -59,6 +59,11 @@ def quality_of(code: int) -> int:
     return int(quality) | limits
 
 
+def with_overflow(code: int) -> int:
+    """Status code of a value before which the server lost some, as its queue was full."""
+    return code | _INFO_OF_A_VALUE | _OVERFLOW
+
+
 def has_overflown(code: int) -> bool:
     """Whether the server lost values before this one, as its queue was full."""
     return code & _INFO_TYPE == _INFO_OF_A_VALUE and bool(code & _OVERFLOW)

@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 from typing import Final
 
-from adapters.drivers.opcua.codes import status_code
+from adapters.drivers.opcua.codes import status_code, with_overflow
 
-__all__ = ["UNECE_CODES", "status_code", "unit_id"]
+__all__ = ["UNECE_CODES", "status_code", "unit_id", "with_overflow"]
 
 UNECE_CODES: Final[Mapping[str, str]] = {"°C": "CEL", "rpm": "RPM", "N": "NEW", "s": "SEC"}
 """UNECE Recommendation 20 code of each unit, as OPC UA clients look it up."""

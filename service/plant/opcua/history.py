@@ -22,9 +22,9 @@ from asyncua.server.internal_server import InternalServer
 from numpy.typing import NDArray
 
 from service.clock import HOUR_US
-from service.domain.errors import BearingTwinError
 from service.domain.times import LATEST_US
 from service.plant.opcua.history_encoding import history_data, status_codes
+from service.plant.opcua.reading import RefusedError, ranges_asked
 from service.store import StoreUnavailableError
 from service.store.blocks import ChannelSamples
 from service.store.buckets import Bucket
@@ -52,14 +52,6 @@ AGGREGATES: Final[Mapping[int, Callable[[Bucket], float | None]]] = {
     ua.ObjectIds.AggregateFunction_Count: lambda bucket: bucket.good,
 }
 """Number of an aggregate function, and what it takes of the statistics of an interval."""
-
-
-class _RefusedError(BearingTwinError):
-    """A node of a request cannot be read; the others can."""
-
-    def __init__(self, status: int) -> None:
-        super().__init__(status)
-        self.status = status
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +130,7 @@ class StoreHistory(HistoryManager):  # type: ignore[misc]  # the library has no 
             wanted = _Wanted(self._store, *self._channel(node), _point(node), most)
             async with self._turn:
                 page = await asyncio.to_thread(read, wanted)
-        except _RefusedError as error:
+        except RefusedError as error:
             result.StatusCode = ua.StatusCode(error.status)
             return result
         except StoreUnavailableError:
@@ -153,11 +145,11 @@ class StoreHistory(HistoryManager):  # type: ignore[misc]  # the library has no 
 
     def _channel(self, node: ua.HistoryReadValueId) -> tuple[str, str]:
         if node.NodeId not in self.iserver.aspace:
-            raise _RefusedError(ua.StatusCodes.BadNodeIdUnknown)
+            raise RefusedError(ua.StatusCodes.BadNodeIdUnknown)
         if node.NodeId not in self.channels:
-            raise _RefusedError(ua.StatusCodes.BadHistoryOperationUnsupported)
-        if node.IndexRange:
-            raise _RefusedError(ua.StatusCodes.BadIndexRangeInvalid)
+            raise RefusedError(ua.StatusCodes.BadHistoryOperationUnsupported)
+        if ranges_asked(node):  # of single numbers
+            raise RefusedError(ua.StatusCodes.BadIndexRangeNoData)
         return self.channels[node.NodeId]
 
 
@@ -181,19 +173,19 @@ def _reads(details: Any, count: int) -> Sequence[_Read]:
 
 def _not_kept(wanted: _Wanted) -> _Page:
     """Refuse: the store keeps neither what was changed nor events."""
-    raise _RefusedError(ua.StatusCodes.BadHistoryOperationUnsupported)
+    raise RefusedError(ua.StatusCodes.BadHistoryOperationUnsupported)
 
 
 def _without_server_times(wanted: _Wanted) -> _Page:
     """Refuse: the store has the times of the sources alone."""
-    raise _RefusedError(ua.StatusCodes.BadTimestampNotSupported)
+    raise RefusedError(ua.StatusCodes.BadTimestampNotSupported)
 
 
 def _raw(details: ua.ReadRawModifiedDetails, wanted: _Wanted) -> _Page:
     """Read samples as they are stored; from the end backwards when the start is later, or open."""
     start_us, end_us = _time_us(details.StartTime), _time_us(details.EndTime)
     if start_us is None and end_us is None:
-        raise _RefusedError(ua.StatusCodes.BadHistoryOperationInvalid)
+        raise RefusedError(ua.StatusCodes.BadHistoryOperationInvalid)
     store, point_us = wanted.store, wanted.point_us
     most = min(details.NumValuesPerNode or wanted.most, wanted.most)
     if start_us is None or (end_us is not None and start_us > end_us):
@@ -220,7 +212,7 @@ def _at_times(details: ua.ReadAtTimeDetails, wanted: _Wanted) -> _Page:
     """Read the value that holds at each time: the last one before, for an hour at most."""
     times_us = [_time_us(one) or 0 for one in details.ReqTimes or ()]
     if not times_us or len(times_us) > min(MOST_TIMES, wanted.most):
-        raise _RefusedError(ua.StatusCodes.BadInvalidArgument)
+        raise RefusedError(ua.StatusCodes.BadInvalidArgument)
     found: ChannelSamples = wanted.store.at_times(wanted.asset, wanted.channel, times_us)
     asked_us = np.array(times_us, np.int64)
     statuses = status_codes(found.qualities)
@@ -233,13 +225,13 @@ def _processed(details: ua.ReadProcessedDetails, aggregate: ua.NodeId, wanted: _
     """Aggregate the good samples of each interval."""
     take = AGGREGATES.get(aggregate.Identifier) if aggregate.NamespaceIndex == 0 else None
     if take is None:
-        raise _RefusedError(ua.StatusCodes.BadAggregateNotSupported)
+        raise RefusedError(ua.StatusCodes.BadAggregateNotSupported)
     if not details.AggregateConfiguration.UseServerCapabilitiesDefaults:
-        raise _RefusedError(ua.StatusCodes.BadAggregateConfigurationRejected)
+        raise RefusedError(ua.StatusCodes.BadAggregateConfigurationRejected)
     start_us, end_us, interval_us = _intervals(details)
     begin_us = start_us if wanted.point_us is None else wanted.point_us
     if not start_us <= begin_us < end_us or (begin_us - start_us) % interval_us:
-        raise _RefusedError(ua.StatusCodes.BadContinuationPointInvalid)
+        raise RefusedError(ua.StatusCodes.BadContinuationPointInvalid)
     bound = _MOST_LONG if interval_us >= HOUR_US else _MOST_SPAN_US // interval_us
     most = max(min(wanted.most, bound * wanted.most // MOST_VALUES), 1)
     whole, rest_us = divmod(end_us - begin_us, interval_us)
@@ -277,11 +269,11 @@ def _intervals(details: ua.ReadProcessedDetails) -> tuple[int, int, int]:
     start_us, end_us = _time_us(details.StartTime), _time_us(details.EndTime)
     interval_ms = details.ProcessingInterval  # 0: the whole span
     if not (interval_ms == 0 or _SHORTEST_MS <= interval_ms < math.inf):
-        raise _RefusedError(ua.StatusCodes.BadInvalidArgument)
+        raise RefusedError(ua.StatusCodes.BadInvalidArgument)
     if start_us is None or end_us is None or start_us == end_us:
-        raise _RefusedError(ua.StatusCodes.BadInvalidArgument)
+        raise RefusedError(ua.StatusCodes.BadInvalidArgument)
     if start_us > end_us:
-        raise _RefusedError(ua.StatusCodes.BadHistoryOperationUnsupported)
+        raise RefusedError(ua.StatusCodes.BadHistoryOperationUnsupported)
     span_us = end_us - start_us
     return start_us, end_us, min(round(interval_ms * 1000) or span_us, span_us)
 
@@ -291,10 +283,10 @@ def _point(node: ua.HistoryReadValueId) -> int | None:
     if not node.ContinuationPoint:
         return None
     if len(node.ContinuationPoint) != _POINT.size:
-        raise _RefusedError(ua.StatusCodes.BadContinuationPointInvalid)
+        raise RefusedError(ua.StatusCodes.BadContinuationPointInvalid)
     (time_us,) = _POINT.unpack(node.ContinuationPoint)
     if not 0 <= time_us < LATEST_US:
-        raise _RefusedError(ua.StatusCodes.BadContinuationPointInvalid)
+        raise RefusedError(ua.StatusCodes.BadContinuationPointInvalid)
     return int(time_us)
 
 

@@ -23,8 +23,8 @@ from service.plant.opcua.certificate import Identity, keep_identity
 from service.plant.opcua.codes import status_code, unit_id
 from service.plant.opcua.history import StoreHistory
 from service.plant.opcua.history_nodes import describe_history, mark_historical
+from service.plant.opcua.monitored_items import SAMPLING_INTERVAL_MS
 from service.plant.opcua.sessions import MOST_BROWSES, KeyedServer
-from service.plant.opcua.subscriptions import SHORTEST_INTERVAL_MS
 from service.plant.opcua.users import KeyUsers
 from service.plant.opcua.wire import BoundedServer
 from service.plant.protocol import Host, TagValue
@@ -258,7 +258,7 @@ async def _describe_capabilities(server: Server) -> None:
         (ua.ObjectIds.Server_ServerCapabilities_LocaleIdArray, ua.Variant(["en"], string)),
         (
             ua.ObjectIds.Server_ServerCapabilities_MinSupportedSampleRate,
-            ua.Variant(SHORTEST_INTERVAL_MS, double),
+            ua.Variant(SAMPLING_INTERVAL_MS, double),
         ),
         (
             ua.ObjectIds.Server_ServerCapabilities_MaxBrowseContinuationPoints,

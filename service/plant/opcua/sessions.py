@@ -9,6 +9,7 @@ from asyncua.crypto.permission_rules import User, UserRole
 from asyncua.server.internal_server import InternalServer
 from asyncua.server.internal_session import InternalSession
 
+from service.plant.opcua.reading import as_asked, check_stamps
 from service.plant.opcua.subscriptions import OwnSubscriptions
 from service.plant.opcua.users import KeyUsers
 
@@ -60,9 +61,26 @@ class _Session(InternalSession):  # type: ignore[misc]
         # What is left of browses that were answered in part.
         self._left: dict[bytes, tuple[list[ua.ReferenceDescription], int]] = {}
 
+    async def read(self, params: ua.ReadParameters) -> list[ua.DataValue]:
+        """Give values as they are asked for; the library gives them whole, with both times."""
+        check_stamps(params.TimestampsToReturn)
+        # Also what is no number.
+        if not params.MaxAge >= 0.0:
+            raise ServiceError(ua.StatusCodes.BadMaxAgeInvalid)
+        values = await super().read(params)
+        return [
+            as_asked(value, node, params.TimestampsToReturn)
+            for value, node in zip(values, params.NodesToRead, strict=True)
+        ]
+
     async def browse(self, params: ua.BrowseParameters) -> list[ua.BrowseResult]:
         """Give as many references of a node as were asked for; the rest with `browse_next`."""
+        if not params.View.ViewId.is_null():
+            raise ServiceError(ua.StatusCodes.BadViewIdUnknown)  # there are none
         results = await super().browse(params)
+        for result, wanted in zip(results, params.NodesToBrowse, strict=True):
+            if wanted.BrowseDirection == ua.BrowseDirection.Invalid:
+                result.StatusCode = ua.StatusCode(ua.StatusCodes.BadBrowseDirectionInvalid)
         most = params.RequestedMaxReferencesPerNode
         return [self._page(result, most) for result in results]
 

@@ -1,5 +1,6 @@
-"""Subscriptions that belong to one session, and deadbands that know a tag without a value."""
+"""Subscriptions that belong to one session, and are as their answers say."""
 
+import asyncio
 import secrets
 from collections.abc import Callable, Iterable
 from typing import Any
@@ -8,12 +9,16 @@ from asyncua import ua
 from asyncua.common.utils import ServiceError
 from asyncua.server.address_space import AddressSpace
 from asyncua.server.internal_server import InternalServer
-from asyncua.server.monitored_item_service import MonitoredItemService, MonitoredItemValues
+from asyncua.server.internal_subscription import InternalSubscription
 from asyncua.server.subscription_service import SubscriptionService
+
+from service.plant.opcua.monitored_items import MonitoredItems
 
 MOST_SUBSCRIPTIONS = 20
 MOST_ITEMS = 20_000
 SHORTEST_INTERVAL_MS = 50.0
+#: Of a subscription whose client is silent, in keep-alive counts (Part 4).
+_LEAST_LIFETIME = 3
 
 
 class OwnSubscriptions(SubscriptionService):  # type: ignore[misc]  # the library has no types
@@ -38,14 +43,56 @@ class OwnSubscriptions(SubscriptionService):  # type: ignore[misc]  # the librar
         """Make one; no client makes the event loop publish without a pause."""
         if len(self.subscriptions) >= MOST_SUBSCRIPTIONS:
             raise ServiceError(ua.StatusCodes.BadTooManySubscriptions)
-        wanted_ms = params.RequestedPublishingInterval
-        # Also what is no number.
-        if not wanted_ms >= SHORTEST_INTERVAL_MS:
-            params.RequestedPublishingInterval = SHORTEST_INTERVAL_MS
-        result = await super().create_subscription(params, callback, session_id, request_callback)
-        made = self.subscriptions[result.SubscriptionId]
-        made.monitored_item_srv = _Items(made, self.aspace)
+        self._sub_id_counter += 1
+        number = self._sub_id_counter
+        result = ua.CreateSubscriptionResult(SubscriptionId=number)
+        self._revise(result, params)
+        made = _Subscription(
+            result,
+            self.aspace,
+            callback,
+            session_id,
+            request_callback,
+            delete_callback=lambda: self.subscriptions.pop(number, None),
+            no_acks_limit=self.iserver.max_unacked_messages_per_subscription,
+            max_queue_size=self.iserver.max_monitored_item_queue_size,
+            publishing_enabled=params.PublishingEnabled,
+        )
+        made.most_in_message = params.MaxNotificationsPerPublish
+        await made.start()
+        self.subscriptions[number] = made
         return result
+
+    def modify_subscription(
+        self, params: ua.ModifySubscriptionParameters
+    ) -> ua.ModifySubscriptionResult:
+        """Publish in another rhythm from now on."""
+        subscription = self.subscriptions.get(params.SubscriptionId)
+        if subscription is None:
+            raise ServiceError(ua.StatusCodes.BadSubscriptionIdInvalid)
+        data = subscription.data
+        self._revise(data, params)
+        subscription.most_in_message = params.MaxNotificationsPerPublish
+        subscription.begin_again()
+        return ua.ModifySubscriptionResult(
+            data.RevisedPublishingInterval, data.RevisedLifetimeCount, data.RevisedMaxKeepAliveCount
+        )
+
+    def _revise(
+        self,
+        data: ua.CreateSubscriptionResult,
+        wanted: ua.CreateSubscriptionParameters | ua.ModifySubscriptionParameters,
+    ) -> None:
+        """Set a subscription's rhythm, as near to what is wanted as the server goes."""
+        interval_ms = wanted.RequestedPublishingInterval
+        # Also what is no number.
+        if not interval_ms >= SHORTEST_INTERVAL_MS:
+            interval_ms = SHORTEST_INTERVAL_MS
+        keep_alive = self._clamp_keep_alive_count(wanted.RequestedMaxKeepAliveCount)
+        lifetime = self._clamp_lifetime_count(wanted.RequestedLifetimeCount)
+        data.RevisedPublishingInterval = interval_ms
+        data.RevisedMaxKeepAliveCount = keep_alive
+        data.RevisedLifetimeCount = max(lifetime, _LEAST_LIFETIME * keep_alive)
 
     async def create_monitored_items(
         self, params: ua.CreateMonitoredItemsParameters
@@ -89,78 +136,64 @@ class OwnSubscriptions(SubscriptionService):  # type: ignore[misc]  # the librar
             raise ServiceError(ua.StatusCodes.BadMessageNotAvailable)
         return kept.NotificationMessage
 
-
-class _Items(MonitoredItemService):  # type: ignore[misc]
-    def _create_events_monitored_item(
-        self, params: ua.MonitoredItemCreateRequest
-    ) -> ua.MonitoredItemCreateResult:
-        """Refuse: there are no events, and a list of them that stays empty looks healthy."""
-        return _refused(ua.StatusCodes.BadAttributeIdInvalid)
-
-    async def _create_data_change_monitored_item(
-        self, params: ua.MonitoredItemCreateRequest
-    ) -> ua.MonitoredItemCreateResult:
-        params.RequestedParameters.Filter = given = _given(params.RequestedParameters.Filter)
-        status = _status_of_filter(given)
-        if status is not None:
-            return _refused(status)
-        return await super()._create_data_change_monitored_item(params)
-
-    def _modify_monitored_item(
-        self, params: ua.MonitoredItemModifyRequest
-    ) -> ua.MonitoredItemModifyResult:
-        params.RequestedParameters.Filter = given = _given(params.RequestedParameters.Filter)
-        status = _status_of_filter(given)
-        if params.MonitoredItemId not in self._monitored_items:
-            status = ua.StatusCodes.BadMonitoredItemIdInvalid
-        if status is not None:
-            return ua.MonitoredItemModifyResult(StatusCode=ua.StatusCode(status))
-        return super()._modify_monitored_item(params)
-
-    def _is_deadband_exceeded(self, values: MonitoredItemValues, flt: ua.DataChangeFilter) -> bool:
-        """Compare with what was reported last.
-
-        The library compares with the last change, reported or not, so that a slow rise is never
-        reported; and it loses the change between a value and none.
-        """
-        old, current = values.get_old_datavalue(), values.get_current_datavalue()
-        if flt.DeadbandType != ua.DeadbandType.Absolute or old is None or current is None:
-            return True
-        if old.StatusCode != current.StatusCode:
-            return True
-        before, now = _number(old), _number(current)
-        if before is None or now is None or abs(now - before) > flt.DeadbandValue:
-            return True
-        values.current_dvalue = old
-        return False
+    async def transfer_subscriptions(
+        self,
+        params: ua.TransferSubscriptionsParameters,
+        session_id: ua.NodeId,
+        callback: Callable[..., Any],
+    ) -> list[ua.TransferResult]:
+        """Move none: those of other sessions are not known here, and one's own are here."""
+        codes = ua.StatusCodes
+        statuses = (
+            codes.BadNothingToDo if one in self.subscriptions else codes.BadSubscriptionIdInvalid
+            for one in params.SubscriptionIds
+        )
+        return [ua.TransferResult(StatusCode=ua.StatusCode(one)) for one in statuses]
 
 
-def _refused(status: int) -> ua.MonitoredItemCreateResult:
-    return ua.MonitoredItemCreateResult(StatusCode=ua.StatusCode(status))
+class _Subscription(InternalSubscription):  # type: ignore[misc]
+    """One subscription; ``most_in_message``: values of one message, 0 for all there are."""
 
+    most_in_message: int = 0
+    _task: asyncio.Task[None] | None
 
-def _given(filter: Any) -> Any:
-    """A filter, or None: one that was not sent comes as an empty extension object."""
-    empty = isinstance(filter, ua.ExtensionObject) and filter.Body is None
-    return None if empty else filter
+    def __init__(self, *arguments: Any, **more: Any) -> None:
+        super().__init__(*arguments, **more)
+        self.monitored_item_srv = MonitoredItems(self, arguments[1])
 
+    def begin_again(self) -> None:
+        """Take over a changed rhythm; the library would wait for the end of the interval."""
+        if self._task is not None:
+            self._task.cancel()  # it waits: a message is sent without a pause
+        self._publish_cycles_count = 0
+        self._task = asyncio.create_task(self._subscription_loop())
 
-def _status_of_filter(filter: Any) -> int | None:
-    """Why a filter cannot be used; None for one that can."""
-    if filter is None:
-        return None
-    # Not by its class: the library makes one again when it reads the types of the standard.
-    kind = getattr(filter, "DeadbandType", None)
-    if kind is None or kind == ua.DeadbandType.Percent:  # of a range that no variable has
-        return int(ua.StatusCodes.BadMonitoredItemFilterUnsupported)
-    if kind not in (ua.DeadbandType.None_, ua.DeadbandType.Absolute):
-        return int(ua.StatusCodes.BadDeadbandFilterInvalid)
-    # Also what is no number.
-    if kind == ua.DeadbandType.Absolute and not filter.DeadbandValue >= 0.0:
-        return int(ua.StatusCodes.BadDeadbandFilterInvalid)
-    return None
+    async def publish_results(self, requestdata: Any = None) -> bool:
+        """Publish what there is, in more than one message if need be."""
+        sent = published = bool(await super().publish_results(requestdata))
+        while published and self._has_more():
+            published = bool(await super().publish_results())
+        return sent
 
+    def _pop_publish_result(self) -> ua.PublishResult:
+        result = super()._pop_publish_result()
+        result.MoreNotifications = self._has_more()
+        return result
 
-def _number(value: ua.DataValue) -> float | None:
-    number = None if value.Value is None else value.Value.Value
-    return float(number) if isinstance(number, int | float) else None
+    def _has_more(self) -> bool:
+        return self._publishing_enabled and bool(self._triggered_datachanges)
+
+    def _pop_triggered_datachanges(self, result: ua.PublishResult) -> None:
+        queues = self._triggered_datachanges
+        found: list[ua.MonitoredItemNotification] = []
+        for item in list(queues):
+            room = self.most_in_message - len(found) if self.most_in_message else None
+            if room == 0:
+                break
+            found += queues[item][:room]
+            del queues[item][:room]
+            if not queues[item]:
+                del queues[item]
+        if found:
+            changes = ua.DataChangeNotification(MonitoredItems=found)
+            result.NotificationMessage.NotificationData.append(changes)

@@ -7,6 +7,7 @@ import structlog
 from asyncua import Server, ua
 from asyncua.common.connection import TransportLimits
 from asyncua.common.utils import Buffer, ServiceError
+from asyncua.crypto.permission_rules import ADMIN_TYPES, USER_TYPES
 from asyncua.server.binary_server_asyncio import BinaryServer, OPCUAProtocol
 from asyncua.server.uaprocessor import UaProcessor
 from asyncua.ua.ua_binary import struct_from_binary
@@ -36,6 +37,16 @@ _DISCOVERY: Final = tuple(
 _CREATE_SESSION = ua.NodeId(ua.ObjectIds.CreateSessionRequest_Encoding_DefaultBinary)
 _BROWSE_NEXT = ua.NodeId(ua.ObjectIds.BrowseNextRequest_Encoding_DefaultBinary)
 _ACTIVATE_SESSION = ua.NodeId(ua.ObjectIds.ActivateSessionRequest_Encoding_DefaultBinary)
+
+#: Services that the library has, for users with and without rights.
+_SERVICES: Final = frozenset(ua.NodeId(number) for number in (*ADMIN_TYPES, *USER_TYPES))
+#: Status of a request with a number that an enumeration does not have, by its name: the library
+#: takes it for an error of its own.
+_OF_UNKNOWN_NUMBERS: Final = {
+    "TimestampsToReturn": ua.StatusCodes.BadTimestampsToReturnInvalid,
+    "MonitoringMode": ua.StatusCodes.BadMonitoringModeInvalid,
+    "BrowseDirection": ua.StatusCodes.BadBrowseDirectionInvalid,
+}
 
 _log = structlog.get_logger(__name__)
 
@@ -202,4 +213,13 @@ class _Processor(UaProcessor):  # type: ignore[misc]
             response.Parameters.Results = await self.session.browse_next(params)
             self.send_response(requesthdr.RequestHandle, seqhdr, response)
             return True
-        return await super()._process_message(typeid, requesthdr, seqhdr, body)
+        if typeid not in _SERVICES:
+            # The library says that a user without rights may not.
+            raise ServiceError(ua.StatusCodes.BadServiceUnsupported)
+        try:
+            return await super()._process_message(typeid, requesthdr, seqhdr, body)
+        except ValueError as error:
+            status = _OF_UNKNOWN_NUMBERS.get(str(error).rpartition(" ")[2])
+            if status is None:
+                raise
+            raise ServiceError(status) from error

@@ -13,6 +13,7 @@ from asyncua.common.utils import Buffer
 from asyncua.ua.ua_binary import extensionobject_from_binary, extensionobject_to_binary
 from hypothesis import given
 from hypothesis import strategies as st
+from opcua_requests import Unknown
 from opcua_site import RING, Asset, apart, fill_seconds, inside, make_client, node_id, serving
 
 from service.plant.opcua import history
@@ -65,6 +66,8 @@ async def request(client: Client, details: Any, *nodes: str, **more: Any) -> lis
     values = [ua.HistoryReadValueId(NodeId=ua.NodeId.from_string(node)) for node in nodes]
     for value in values:
         value.ContinuationPoint = more.get("point")
+        value.IndexRange = more.get("index_range")
+        value.DataEncoding = ua.QualifiedName(more.get("encoding"))
     params = ua.HistoryReadParameters(
         HistoryReadDetails=details,
         TimestampsToReturn=more.get("stamps", ua.TimestampsToReturn.Source),
@@ -258,15 +261,25 @@ async def test_what_cannot_be_read_is_refused_for_its_node(
         server = ua.TimestampsToReturn.Server
         (result,) = await request(client, raw, ring, stamps=server)
         assert result.StatusCode.value == codes.BadTimestampNotSupported
+        for asked, status in (
+            ({"index_range": "0"}, codes.BadIndexRangeNoData),
+            ({"index_range": "3:1"}, codes.BadIndexRangeInvalid),
+            ({"encoding": "Default XML"}, codes.BadDataEncodingUnsupported),
+            ({"encoding": "Default Binary"}, codes.Good),
+        ):
+            (result,) = await request(client, raw, ring, **asked)
+            assert result.StatusCode.value == status, asked
         two = processed(0, 60, 10, AVERAGE, AVERAGE)
         for details, nodes, stamps, status in (
             (two, (ring,), 0, codes.BadAggregateListMismatch),
             (raw, (), 0, codes.BadNothingToDo),
             (raw, (ring,) * (history.MOST_NODES + 1), 0, codes.BadTooManyOperations),
             (raw, (ring,), 3, codes.BadTimestampsToReturnInvalid),
+            (raw, (ring,), 4, codes.BadTimestampsToReturnInvalid),
+            (raw, (ring,), 5, codes.BadTimestampsToReturnInvalid),
         ):
             with pytest.raises(ua.UaStatusCodeError) as error:
-                await request(client, details, *nodes, stamps=ua.TimestampsToReturn(stamps))
+                await request(client, details, *nodes, stamps=Unknown(stamps))
             assert error.value.code == status, details
 
         def away(*_: Any) -> None:

@@ -5,61 +5,13 @@ from typing import Any
 
 import pytest
 from asyncua import Client, ua
-from asyncua.ua.ua_binary import struct_from_binary
+from opcua_requests import ask, monitor, publish, status_of, subscribe
 from opcua_site import RING, Asset, apart, node_id, serving
 
 from service.plant.opcua.sessions import MOST_BROWSES
 from service.store import Outbox, Store
 
 pytestmark = pytest.mark.wires
-
-
-async def ask(client: Client, request: Any) -> Any:
-    """Send a request of its own, past what the library's client does of itself."""
-    answer = await client.uaclient.protocol.send_request(request)
-    name = type(request).__name__.replace("Request", "Response")
-    return struct_from_binary(getattr(ua, name), answer)
-
-
-async def status_of(client: Client, request: Any) -> str:
-    """Name of the status of the whole service."""
-    try:
-        response = await ask(client, request)
-    except ua.UaStatusCodeError as error:
-        return str(ua.StatusCode(error.code).name)
-    return str(response.ResponseHeader.ServiceResult.name)
-
-
-def subscribe() -> ua.CreateSubscriptionRequest:
-    request = ua.CreateSubscriptionRequest()
-    request.Parameters.RequestedPublishingInterval = 100
-    request.Parameters.RequestedLifetimeCount = 10_000
-    request.Parameters.RequestedMaxKeepAliveCount = 1_000
-    request.Parameters.PublishingEnabled = True
-    return request
-
-
-def monitor(
-    subscription: int, node: str | ua.NodeId, filter: Any = None, attribute: int = 13
-) -> ua.CreateMonitoredItemsRequest:
-    item = ua.MonitoredItemCreateRequest()
-    item.ItemToMonitor.NodeId = ua.NodeId.from_string(node) if isinstance(node, str) else node
-    item.ItemToMonitor.AttributeId = ua.AttributeIds(attribute)
-    item.MonitoringMode = ua.MonitoringMode.Reporting
-    item.RequestedParameters.QueueSize = 10
-    item.RequestedParameters.Filter = filter
-    request = ua.CreateMonitoredItemsRequest()
-    request.Parameters.SubscriptionId = subscription
-    request.Parameters.ItemsToCreate = [item]
-    return request
-
-
-def publish(*acknowledged: tuple[int, int]) -> ua.PublishRequest:
-    request = ua.PublishRequest()
-    request.Parameters.SubscriptionAcknowledgements = [
-        ua.SubscriptionAcknowledgement(*one) for one in acknowledged
-    ]
-    return request
 
 
 def republish(subscription: int, sequence: int) -> ua.RepublishRequest:
