@@ -20,6 +20,7 @@ from service.plant.mqtt.client import MqttClient
 from service.plant.mqtt.publisher import MqttPublisher
 from service.plant.protocol import Host
 from service.site.settings import MqttSection
+from service.tasks import background
 
 PATIENCE_S = 30.0
 
@@ -186,10 +187,7 @@ async def publishing(
         bus,
         host,
     )
-    running = asyncio.create_task(publisher.run())
-    try:
+    ended = asyncio.Event()
+    async with background(publisher.run(), "publisher mqtt", ended):
         yield
-        assert not running.done(), running
-    finally:
-        running.cancel()
-        await asyncio.gather(running, return_exceptions=True)
+        assert not ended.is_set()

@@ -82,7 +82,8 @@ class Session:
         if client is None:
             return
         with contextlib.suppress(*WENT_WRONG):
-            await asyncio.wait_for(client.disconnect(), _CLOSE_S)
+            async with asyncio.timeout(_CLOSE_S):
+                await client.disconnect()
         with contextlib.suppress(*WENT_WRONG):
             client.disconnect_socket()
 

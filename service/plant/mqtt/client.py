@@ -1,10 +1,10 @@
-"""A client of MQTT that leaves alone the sockets of others in the event loop."""
+"""A client of MQTT that leaves alone the sockets of others, and ends when it is cancelled."""
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from typing import Any
 
-from aiomqtt import Client
+from aiomqtt import Client, MqttError
 from paho.mqtt.client import Client as Paho
 
 
@@ -21,6 +21,18 @@ class MqttClient(Client):
         super().__init__(*arguments, **options)
         # Where it asks for all that it wants of the loop.
         self._loop: Any = _OwnSockets(self._loop, self._client)
+
+    async def _wait_for(self, fut: Awaitable[Any], timeout: float | None) -> Any:
+        """Wait for an answer of the broker.
+
+        aiomqtt uses `asyncio.wait_for`, which in Python 3.11 swallows a cancellation that comes
+        together with the answer: the task would then go on, and its group wait for it without end.
+        """
+        try:
+            async with asyncio.timeout(self.timeout if timeout is None else timeout):
+                return await fut
+        except TimeoutError:
+            raise MqttError("Operation timed out") from None
 
 
 class _OwnSockets:

@@ -113,6 +113,24 @@ async def test_a_late_write_is_not_for_the_next_socket_of_the_same_number(
             assert loop.remove_writer(number) == (client is Client), "what the library does"
 
 
+async def test_a_cancellation_that_comes_with_the_acknowledgement_is_heard(broker: Broker) -> None:
+    """Otherwise the service would not stop: its tasks are asked to end once."""
+    async with MqttClient(
+        "127.0.0.1", broker.port, username="twin", password="secret", timeout=PATIENCE_S
+    ) as client:
+        acknowledge = client._client.on_publish
+        assert acknowledge is not None
+
+        def acknowledge_and_cancel(*arguments: Any) -> None:
+            acknowledge(*arguments)
+            sending.cancel()
+
+        client._client.on_publish = acknowledge_and_cancel
+        sending = asyncio.create_task(client.publish("works/hall-2/status", b"", qos=1))
+        await asyncio.wait({sending})
+        assert sending.cancelled()
+
+
 async def test_open_alarms_can_be_had_by_who_connects_late(broker: Broker, host: Host) -> None:
     """What ended while we were away is taken back."""
 
