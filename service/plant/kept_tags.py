@@ -2,8 +2,10 @@
 
 import asyncio
 import contextlib
+import math
 import sqlite3
 import sys
+import time
 from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Final
@@ -19,6 +21,10 @@ CREATE TABLE IF NOT EXISTS kept (
     receiver TEXT, asset TEXT, tag TEXT, PRIMARY KEY (receiver, asset, tag)
 ) WITHOUT ROWID
 """
+#: Not longer: publishing waits for it.
+_PATIENCE_S: Final = 0.5
+#: After a failure the file is left alone for so long.
+_PAUSE_S: Final = 10.0
 _NOTE: Final = "INSERT OR IGNORE INTO kept VALUES (?, ?, ?)"
 _FORGET: Final = "DELETE FROM kept WHERE receiver = ? AND asset = ? AND tag = ?"
 _Rows = list[tuple[str, str, str]]
@@ -40,6 +46,11 @@ class KeptTags:
         Its name, for the log.
     receiver : str
         Names who keeps the tags.
+
+    Attributes
+    ----------
+    is_read : bool
+        Whether what earlier processes have noted is known.
     """
 
     def __init__(self, folder: Path, publisher: str, receiver: str) -> None:
@@ -48,12 +59,16 @@ class KeptTags:
         self._receiver = receiver
         self._noted: dict[str, set[str]] = {}
         self._guard = Guard(f"{publisher}_kept_tags", "")
+        self._paused_until_s = -math.inf
+        self.is_read = False
 
     async def read(self) -> Mapping[str, Collection[str]]:
-        """Give the tags by asset; none where the file cannot be read."""
-        with self._guard():
-            self._noted = await asyncio.to_thread(self._read)
-        return self._noted
+        """Give the tags by asset; none where the file cannot be read yet."""
+        with self._attempt() as may:
+            if may:
+                self._noted = await asyncio.to_thread(self._read)
+                self.is_read = True
+        return self._noted if self.is_read else {}
 
     async def add(self, tags: Mapping[str, Collection[str]]) -> None:
         """Note tags, by asset; what could not be noted is tried again with the next ones."""
@@ -64,23 +79,35 @@ class KeptTags:
         }
         if not new:
             return
-        rows = self._rows(new)
-        with self._guard():
-            await asyncio.to_thread(self._write, _NOTE, rows)
+        with self._attempt() as may:
+            if not may:
+                return
+            await asyncio.to_thread(self._write, _NOTE, self._rows(new))
             for asset, names in new.items():
                 # Thousands of assets have tags of the same names.
                 self._noted.setdefault(asset, set()).update(map(sys.intern, names))
 
     async def remove(self, asset: str, tags: Collection[str]) -> None:
         """Forget tags that the receiver does not have any more."""
-        rows = self._rows({asset: tags})
-        with self._guard():
-            await asyncio.to_thread(self._write, _FORGET, rows)
+        with self._attempt() as may:
+            if may:
+                await asyncio.to_thread(self._write, _FORGET, self._rows({asset: tags}))
         # Also where they are still in the file: should they come again they are noted again.
         noted = self._noted.get(asset, set())
         noted.difference_update(tags)
         if not noted:
             self._noted.pop(asset, None)
+
+    @contextlib.contextmanager
+    def _attempt(self) -> Iterator[bool]:
+        """Guard the use of the file; not while it is left alone after a failure."""
+        if time.monotonic() < self._paused_until_s:
+            yield False
+            return
+        with self._guard():
+            yield True
+        if self._guard.failing:
+            self._paused_until_s = time.monotonic() + _PAUSE_S
 
     def _rows(self, tags: Mapping[str, Collection[str]]) -> _Rows:
         return [(self._receiver, asset, name) for asset, names in tags.items() for name in names]
@@ -111,6 +138,6 @@ class KeptTags:
         """Open the file for one transaction: there are few, and none is open when we are killed."""
         make_private_folder(self._path.parent)
         make_private_file(self._path)
-        with contextlib.closing(sqlite3.connect(self._path)) as connection, connection:
+        with contextlib.closing(sqlite3.connect(self._path, _PATIENCE_S)) as connection, connection:
             connection.execute(_TABLE)
             yield connection

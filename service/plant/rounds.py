@@ -100,14 +100,12 @@ class PublisherRounds:
     async def run(self) -> None:
         """Publish until cancelled; open again, ever more slowly, whenever that fails."""
         self._alarms = self._subscribe()
-        if self._kept is not None:
-            kept = await self._kept.read()
-            self._known = {asset: dict.fromkeys(tags) for asset, tags in kept.items()}
         backoff = Backoff(REOPEN_FIRST_S, REOPEN_LAST_S)
         away = False
         while True:
             try:
                 await self.publisher.open(self._host)
+                await self._learn_kept()
                 self._known = {asset: dict.fromkeys(tags) for asset, tags in self._known.items()}
                 await self._note_all()
                 await self.publish_tags()
@@ -135,7 +133,15 @@ class PublisherRounds:
         One look at a time: a second one waits for the first.
         """
         async with self._publishing:
+            await self._learn_kept()
             await self._publish_changes()
+
+    async def _learn_kept(self) -> None:
+        """Take over what an earlier process has handed on, as soon as that can be read."""
+        if self._kept is None or self._kept.is_read:
+            return
+        for asset, tags in (await self._kept.read()).items():
+            self._known[asset] = dict.fromkeys(tags) | self._known.get(asset, {})
 
     async def _note_all(self) -> None:
         """Note the tags of all assets at once: one by one, thousands take long."""

@@ -1,6 +1,8 @@
 """What a broker keeps of an earlier process of the service, and what the next one withdraws."""
 
 import asyncio
+import contextlib
+import sqlite3
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,7 +23,7 @@ from adapters.samples import Quality
 from service.bus.stream import LiveMessages
 from service.clock import ProcessClock, rfc3339
 from service.domain.errors import CellUnavailableError
-from service.plant import rounds
+from service.plant import kept_tags, rounds
 from service.plant.kept_tags import FILE_NAME
 from service.plant.mqtt.client import MqttClient
 from service.plant.protocol import Host
@@ -202,3 +204,21 @@ async def test_a_list_that_cannot_be_read_or_written_stops_nothing(
     file.mkdir()
     await publish_once(broker, host, "bench-1")
     assert "mqtt_kept_tags_failed" in "".join(capsys.readouterr())
+
+
+async def test_a_list_that_is_locked_at_the_start_is_read_when_it_is_free(
+    broker: Broker, host: Host, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(kept_tags, "_PAUSE_S", 0.1)
+    await publish_once(broker, host, "bench-1", "bench-2")
+    with contextlib.closing(sqlite3.connect(host.data_dir / "mqtt" / FILE_NAME)) as copy:
+        copy.execute("BEGIN EXCLUSIVE")
+        async with (
+            publishing(host, section(broker), Asset(), bus()),
+            listening(broker) as listener,
+        ):
+            await listener.hear("status", "online")
+            assert topics(await retained(broker)) == of("bench-1", "bench-2")
+            copy.rollback()
+            assert await listener.hear(f"bench-2/{TWIN}", "") == ("", False)
+    assert topics(await retained(broker)) == of("bench-1")
