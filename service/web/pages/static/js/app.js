@@ -107,6 +107,7 @@ const header = place(find('#top'), Header, {
     loadNewVersion: () => loadVersion(newVersion),
     logOut: async () => {
       live.stop();
+      endView(); // a request of it would find the session ended, and ask for a key
       await whileAway(logOut);
       start();
     },
@@ -126,8 +127,7 @@ function setTheme(theme) {
 
 async function showView() {
   const name = viewName();
-  view?.destroy();
-  view = null;
+  endView();
   shown = nowhere() ? '' : name;
   const asked = readHash().view;
   if (VIEWS[asked] && asked !== name && assets.length) {
@@ -274,6 +274,7 @@ async function whileAway(action) {
       return await action();
     } catch (error) {
       if (!(error instanceof ApiError)) throw error;
+      if (error.status === 401) return new Promise(() => {}); // the page begins again with a log-in
       const why = error.status === 0 ? 'The service does not answer' : `Service: ${error.message}`;
       draw(main, v('p', { class: 'panel waiting', role: 'status' }, `${why}. Retrying …`));
       await new Promise((resolve) => setTimeout(resolve, AWAY_RETRY_MS));
@@ -285,7 +286,7 @@ async function whileAway(action) {
 async function logInAgain() {
   const keeps = view && `Log in with a key of the role ${session.role} to keep your input.`;
   const known = keeps && await logInAbove(`${SESSION_OVER} ${keeps}`);
-  if (known?.role === session.role) {
+  if (known && known.role === session?.role) {
     session = known;
     header.update({ session });
     live.goOn();
@@ -295,9 +296,13 @@ async function logInAgain() {
   }
 }
 
-async function start(reason = '') {
+function endView() {
   view?.destroy();
   view = null;
+}
+
+async function start(reason = '') {
+  endView();
   feed = null;
   main.inert = false;
   main.className = 'v-start';

@@ -14,7 +14,9 @@ async function logIn(key) {
 }
 
 export async function logOut() {
-  await call('/session', { method: 'DELETE' });
+  await call('/session', { method: 'DELETE' }).catch((error) => {
+    if (error.status !== 401) throw error; // it has ended already
+  });
   localStorage.removeItem(MARK);
 }
 

@@ -17,7 +17,11 @@ export async function otherVersion() {
   }
 }
 
+let isLoading = false; // asked again, a browser would begin again
+
 export function loadVersion(version) {
+  if (isLoading) return;
+  isLoading = true;
   sessionStorage.setItem(LOADED_FOR, version);
   location.reload();
 }

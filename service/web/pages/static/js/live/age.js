@@ -1,6 +1,6 @@
 // How long ago something was, also over a sleep of the machine that shows the page.
 
-/** Of an asset that is followed the service sends a verdict every 5 s: more silence is no live line. */
+/** Of an asset that is followed there is a verdict every 5 s at least: more silence is no live line. */
 export const LONGEST_SILENCE_MS = 7000;
 
 /** The present moment, for `ageMs` later. */

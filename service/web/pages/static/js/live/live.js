@@ -142,6 +142,7 @@ export class Live {
   goOn() {
     const { followed } = this.stream;
     this.stream = null;
+    this.epoch = null; // what was missed of the other assets is asked for as after a restart
     this.setLink({ ...this.link, isOver: false });
     this.lookAtAll();
     this.follow(followed);

@@ -6,7 +6,8 @@ const SILENCE_MS = 2500; // then the service is asked whether it is alive
 const NO_HEARTBEAT_MS = 20000; // heartbeats come every 15 s, also where no asset is followed
 const DOUBTED_MS = 3000; // silence of a line that has to show itself again after a sleep, a new network
 const LONGEST_WAIT_S = 30;
-/** When a machine wakes up, a page is looked at again, or there is a network again. */
+/** When a machine wakes up, a page is looked at again, or there is a network again.
+ *  @type {[EventTarget, string][]} */
 const RETURNS = [[document, 'visibilitychange'], [window, 'pageshow'], [window, 'online']];
 
 export class Stream {

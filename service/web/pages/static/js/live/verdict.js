@@ -1,9 +1,11 @@
 // The service's verdict on one asset, as the page shows it: its four words, and what is missing.
 // Whether it is safe is judged by the service alone; the page only finds figures to show with it.
 import { ageText, lowerName } from '../parts/format.js';
-import { ageMs, LONGEST_SILENCE_MS } from './age.js';
+import { ageMs } from './age.js';
 import { readChannel } from './readings.js';
 
+// The service sends one every 5 s at least: one may be late on a line that is otherwise heard.
+const OLDEST_MS = 10000;
 const WHY = {
   twin: 'the twin does not run',
   limits: 'no temperature has a limit',
@@ -21,7 +23,7 @@ const withoutWord = (reason) => ({
 export function currentVerdict({ link, verdict }) {
   if (link.status !== 'live') return withoutWord('the service does not answer');
   if (!verdict) return withoutWord('loading');
-  return ageMs(verdict.heard) > LONGEST_SILENCE_MS ? withoutWord('no verdict from the service') : verdict;
+  return ageMs(verdict.heard) > OLDEST_MS ? withoutWord('no verdict from the service') : verdict;
 }
 
 export const missingChannels = (missing) => missing.filter((name) => !Object.hasOwn(WHY, name));
