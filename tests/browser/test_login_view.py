@@ -11,6 +11,23 @@ from tests.processes import wait_until
 
 pytestmark = pytest.mark.browser
 
+#: The list of assets is refused, and then the service does not say whether the session is over.
+REFUSED_ONCE = """() => {
+  const ask = window.fetch;
+  let refused = false, asked = false;
+  window.fetch = async (path, options) => {
+    if (!refused && path.startsWith('/api/v1/assets')) {
+      refused = true;
+      return new Response('{}', { status: 401 });
+    }
+    if (refused && !asked && path === '/api/v1/session') {
+      asked = true;
+      throw new TypeError('Failed to fetch');
+    }
+    return ask(path, options);
+  };
+}"""
+
 
 def test_a_wrong_key_is_told_and_the_right_one_lets_in(
     context: BrowserContext, plant: Plant
@@ -30,6 +47,18 @@ def test_a_wrong_key_is_told_and_the_right_one_lets_in(
     expect(page.get_by_label("Access key")).to_be_visible()
     page.reload()
     expect(page.get_by_label("Access key")).to_be_visible()
+
+
+def test_a_refusal_that_cannot_be_explained_leaves_no_empty_page(
+    context: BrowserContext, plant: Plant
+) -> None:
+    page = context.new_page()
+    page.goto(plant.address)
+    page.evaluate(REFUSED_ONCE)
+    page.get_by_label("Access key").fill(plant.key_of("operator"))
+    page.keyboard.press("Enter")
+    expect(page.locator("#main")).to_contain_text("your session has ended. Retrying")
+    expect(page.locator("nav.tabs a[aria-current]")).to_have_text("Fleet")
 
 
 @pytest.mark.thorough

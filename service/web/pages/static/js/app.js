@@ -274,7 +274,8 @@ async function whileAway(action) {
       return await action();
     } catch (error) {
       if (!(error instanceof ApiError)) throw error;
-      if (error.status === 401) return new Promise(() => {}); // the page begins again with a log-in
+      // The page begins again with a log-in, unless the session could not be asked for.
+      if (error.status === 401 && await live.isLoggedOut()) return new Promise(() => {});
       const why = error.status === 0 ? 'The service does not answer' : `Service: ${error.message}`;
       draw(main, v('p', { class: 'panel waiting', role: 'status' }, `${why}. Retrying …`));
       await new Promise((resolve) => setTimeout(resolve, AWAY_RETRY_MS));
