@@ -68,10 +68,14 @@ class Principal:
         """How journals name the caller."""
         return f"{self.role} {self.prefix}" + (f" ({self.label})" if self.label else "")
 
+    def is_over(self, now_us: int) -> bool:
+        """Whether the key or the session has ended by itself at this wall time."""
+        return self.expires_us is not None and self.expires_us <= now_us
+
 
 @dataclass(frozen=True, slots=True)
 class _Remembered:
-    principal: Principal | None
+    principal: Principal
     at_s: float
 
 
@@ -84,8 +88,8 @@ class _Pending:
 class Authenticator:
     """Verifies keys and sessions; used in the event loop.
 
-    Its callers count in the rate limits: wrong keys by address, log-ins by address and by key,
-    unknown sessions by address, requests by the key's id.
+    Its callers count in the rate limits: wrong keys by address, log-ins by the key's id, unknown
+    sessions by address, requests by the key's id.
     """
 
     def __init__(
@@ -99,7 +103,8 @@ class Authenticator:
         self.logins = RateLimit(LOGINS_PER_MINUTE)
         self.strangers = RateLimit(UNKNOWN_SESSIONS_PER_MINUTE)
         self.requests = RateLimit(requests_per_minute)
-        # Wrong keys stay wrong: a client that goes on with one costs no look-up.
+        # What is wrong stays wrong, also what was revoked or ended here and now: a client that
+        # goes on with it costs no look-up.
         self._wrong: FIFOCache[str, None] = FIFOCache(_MOST_REMEMBERED)
         self._memory: LRUCache[str, _Remembered] = LRUCache(_MOST_REMEMBERED)
         # Apart from the threads that serve long queries: a poll never waits behind a report; and
@@ -122,6 +127,11 @@ class Authenticator:
         """Whether a key was looked up lately, with whatever result."""
         sha256 = fingerprint(text)
         return sha256 in self._wrong or f"key {sha256}" in self._memory
+
+    def is_in_use(self, text: str) -> bool:
+        """Whether a key has opened something since the start, and may still do so."""
+        sha256 = fingerprint(text)
+        return sha256 not in self._wrong and f"key {sha256}" in self._memory
 
     def knows_session(self, cookie: str) -> bool:
         """Whether a session cookie was looked up lately, or cannot be one."""
@@ -164,7 +174,7 @@ class Authenticator:
         """End a browser session, with the line of the audit trail that says so."""
         sha256 = fingerprint(cookie)
         await self._in_time(lambda: self._store.access.end_session(sha256, line))
-        self._memory.pop(f"session {sha256}", None)
+        self._refuse(f"session {sha256}")
 
     async def _in_time(self, work: Callable[[], Answer]) -> Answer:
         """Work with the store in a thread; one that hangs is left behind."""
@@ -175,10 +185,15 @@ class Authenticator:
             raise _hangs(UNKNOWN_PATIENCE_S) from None
 
     def forget(self, key_id: str) -> None:
-        """Look a key and its sessions up again: it was revoked here and now."""
+        """Refuse a key and its sessions from now on: it was revoked here and now."""
         for name, known in list(self._memory.items()):
-            if known.principal is not None and known.principal.key_id == key_id:
-                del self._memory[name]
+            if known.principal.key_id == key_id:
+                self._refuse(name)
+
+    def _refuse(self, name: str) -> None:
+        """Let a key or a session in no more, whatever a look-up says that is under way."""
+        self._memory.pop(name, None)
+        self._wrong[name.partition(" ")[2]] = None
 
     async def _recall(self, name: str, look_up: Callable[[], Principal | None]) -> Principal | None:
         known = self._memory.get(name)
@@ -200,14 +215,16 @@ class Authenticator:
         known = self._memory.get(name)
         if known is None or now_s - known.at_s > MEMORY_WITHOUT_STORE_S:
             raise error
+        if known.principal.is_over(wall_us()):
+            raise error
         _log.warning("store_away_trusting_known_key", since_s=round(now_s - known.at_s, 1))
         return known.principal
 
     def _remember(self, name: str, principal: Principal | None, now_s: float) -> None:
-        if principal is None:
+        if principal is None or name.partition(" ")[2] in self._wrong:
             self._memory.pop(name, None)
-            return
-        self._memory[name] = _Remembered(principal, now_s)
+        else:
+            self._memory[name] = _Remembered(principal, now_s)
 
     async def _look_up_once(
         self, name: str, look_up: Callable[[], Principal | None], known: bool

@@ -22,11 +22,15 @@ from typing import Any, Final
 import h11
 import structlog
 import uvicorn
+import websockets.http11
 from starlette.types import ASGIApp
 from uvicorn.protocols.http.h11_impl import H11Protocol
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 HEAD_S: Final = 10.0
 BODY_S: Final = 60.0
+#: For the application to accept or refuse a stream; those that catch up wait for their turn.
+ACCEPT_S: Final = 60.0
 #: For a client to read an answer that came before the end of its body.
 REFUSED_BODY_S: Final = 5.0
 REFUSED_BODY_BYTES: Final = 4 * 1024 * 1024
@@ -36,8 +40,14 @@ CONNECTIONS: Final = 2000
 RESERVED_FILES: Final = 256
 _LOG_EVERY_S = 60.0
 _REFUSALS_AT_ONCE = 64
+_ODD_HEAD = "expected a WebSocket handshake: a request without a body\n"
 _SWEEP_TICKS = 10  # of 0.1 s
 _OUT_OF_FILES = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
+
+# A log-in proxy adds cookies of more than 8 KiB. What REST takes is taken of a stream too: the head
+# has come whole by then, within the bounds of h11.
+websockets.http11.MAX_LINE_LENGTH = 64 * 1024
+websockets.http11.MAX_NUM_HEADERS = 64 * 1024
 
 _log = structlog.get_logger(__name__)
 
@@ -193,6 +203,31 @@ class _Protocol(H11Protocol):
         return self.conn.their_state is h11.SEND_BODY and self.conn.our_state is h11.DONE
 
 
+class _StreamProtocol(WebSocketsSansIOProtocol):
+    """A connection that has asked for a WebSocket and is always answered, or hung up on."""
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        super().connection_made(transport)
+        self._since_s = time.monotonic()
+
+    def data_received(self, data: bytes) -> None:
+        """Read on; refuse a head that the library cannot read, which it would not answer."""
+        if self.transport.is_closing():
+            return
+        super().data_received(data)
+        if self.conn.handshake_exc is not None and not self.handshake_initiated:
+            # Of a head that is too long the library has made its answer, of one that is odd none.
+            answer = b"".join(self.conn.data_to_send())
+            self.transport.write(answer or self.conn.reject(400, _ODD_HEAD).serialize())
+            self.handshake_complete = self.close_sent = True
+            self.transport.close()
+
+    def limit(self, now_s: float) -> None:
+        """Hang up when the application has neither accepted nor refused in time."""
+        if not self.handshake_complete and now_s - self._since_s > ACCEPT_S:
+            self.transport.abort()
+
+
 class WebServer(uvicorn.Server):
     """uvicorn without its signal handling, as the service stops as one whole, and with limits.
 
@@ -205,6 +240,7 @@ class WebServer(uvicorn.Server):
             uvicorn.Config(
                 app,
                 http=_Protocol,
+                ws=_StreamProtocol,
                 limit_concurrency=most_connections - most_connections // 8,
                 log_config=None,
                 access_log=False,
@@ -227,7 +263,7 @@ class WebServer(uvicorn.Server):
         if counter % _SWEEP_TICKS == 0:
             now_s = time.monotonic()
             for connection in list(self.server_state.connections):
-                if isinstance(connection, _Protocol):
+                if isinstance(connection, _Protocol | _StreamProtocol):
                     connection.limit(now_s)
         return await super().on_tick(counter)
 

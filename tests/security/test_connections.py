@@ -53,6 +53,12 @@ async def echo(websocket: WebSocket) -> None:
             await websocket.send_text(await websocket.receive_text())
 
 
+async def never(websocket: WebSocket) -> None:
+    with contextlib.suppress(WebSocketDisconnect):
+        while (await websocket.receive())["type"] != "websocket.disconnect":
+            pass
+
+
 @pytest.fixture
 async def port() -> AsyncIterator[int]:
     app = Starlette(
@@ -62,6 +68,7 @@ async def port() -> AsyncIterator[int]:
             Route("/refuse", refuse, methods=["POST"]),
             Route("/long", long_answer),
             WebSocketRoute("/echo", echo),
+            WebSocketRoute("/never", never),
         ]
     )
     listener = socket.create_server(("127.0.0.1", 0))
@@ -105,6 +112,50 @@ async def test_a_connection_without_a_whole_head_is_closed(
         assert await stream.recv() == "still here"
     for _, writer in (silent, half, second):
         writer.close()
+
+
+UPGRADE = (
+    b"GET /echo HTTP/1.1\r\nHost: bench\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n"
+    b"Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n"
+)
+
+
+@pytest.mark.parametrize(
+    ("heads", "status"),
+    [
+        (b"", b"101"),
+        # As long as a log-in proxy makes them, and REST takes them.
+        (b"Cookie: " + b"a" * 9_000 + b"\r\n", b"101"),
+        (b"Cookie: " + b"a" * 50_000 + b"\r\n", b"101"),
+        (b"".join(b"X-%d: 1\r\n" % number for number in range(130)), b"101"),
+        (b"Cookie: " + b"a" * 70_000 + b"\r\n", b"431"),
+        (b"Content-Length: 5\r\n", b"400"),
+        (b"Transfer-Encoding: chunked\r\n", b"400"),
+    ],
+)
+async def test_an_upgrade_is_answered_whatever_its_head(
+    port: int, heads: bytes, status: bytes
+) -> None:
+    reader, writer = await open_one(port)
+    writer.write(UPGRADE + heads + b"\r\n")
+    line = await asyncio.wait_for(reader.readline(), PATIENCE_S)
+    assert line.split()[1] == status
+    if status != b"101":
+        await ending(reader)  # which is closed, too
+    writer.close()
+
+
+async def test_a_stream_that_is_neither_accepted_nor_refused_is_closed(
+    port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(web_server, "ACCEPT_S", 1.0)
+    reader, writer = await open_one(port)
+    writer.write(UPGRADE.replace(b"/echo", b"/never") + b"\r\n")
+    async with websockets.connect(f"ws://127.0.0.1:{port}/echo") as stream:
+        assert await ending(reader) == b""
+        await stream.send("still here")
+        assert await stream.recv() == "still here"
+    writer.close()
 
 
 async def test_a_body_that_does_not_end_is_cut_off(

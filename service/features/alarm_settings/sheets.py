@@ -10,6 +10,7 @@ from adapters.configuration import first_repeated, listed
 from adapters.tables import RowError, TableFileError, csv_table, has_decimal_comma
 from service.domain.alarm_guidance import AlarmName
 from service.domain.errors import BearingTwinError
+from service.domain.json_bodies import parse_json
 from service.domain.upload_limits import COLUMNS_MAX, too_large
 from service.features.alarm_settings.settings_changes import Mistake, WantedRow
 from service.site.alarm_overlay import FIELDS, AlarmEntry
@@ -159,8 +160,8 @@ def read_json(content: bytes) -> tuple[list[WantedRow], list[Mistake], str]:
     `AlarmSheetError` if it is not such a document.
     """
     try:
-        document = json.loads(content)
-    except (ValueError, RecursionError) as error:
+        document = parse_json(content)
+    except ValueError as error:
         raise AlarmSheetError(f"not valid JSON: {error}") from error
     if not isinstance(document, dict) or not isinstance(document.get(_ROWS), list):
         raise AlarmSheetError('expected {"rows": [{"asset": …, "tag": …, "kind": …}, …]}')

@@ -11,6 +11,7 @@ from typing import Any, Final
 from adapters.configuration import first_repeated, listed
 from adapters.tables import RowError, TableFileError, csv_table
 from service.domain.errors import BearingTwinError
+from service.domain.json_bodies import parse_json
 from service.domain.upload_limits import COLUMNS_MAX, too_large
 from service.site.asset_tables import check_assets, key_line, lines_in_names
 from service.site.configuration import SettingsError, TomlTable
@@ -211,8 +212,8 @@ def read_json(content: bytes) -> AssetRows:
     Raises `AssetListError` if it is not such a document.
     """
     try:
-        document = json.loads(content)
-    except (ValueError, RecursionError) as error:
+        document = parse_json(content)
+    except ValueError as error:
         raise AssetListError(f"not valid JSON: {error}") from error
     if not isinstance(document, dict) or not isinstance(document.get("assets"), list):
         raise AssetListError('expected {"assets": [{"id": …, …}, …]}')

@@ -20,6 +20,7 @@ from starlette.requests import HTTPConnection, Request
 from starlette.types import Scope
 
 from service.bus.asking import caller_role, on_behalf_of
+from service.clock import wall_us
 from service.domain.roles import Roles
 from service.security import failed_logins
 from service.security.audit_trail import AuditTrail
@@ -279,6 +280,23 @@ async def authenticate(
         ) from error
 
 
+async def is_still(
+    connection: HTTPConnection, authenticator: Authenticator, principal: Principal
+) -> Principal | None:
+    """Who a caller is by now that was let in as `principal`; None when the right has ended.
+
+    The limits of strangers are not its own: it is looked up, whatever others at its address send.
+    """
+    try:
+        key = offered_key(connection)
+        if key is not None:
+            return await authenticator.by_key(key)
+        cookie = connection.cookies.get(cookie_name(connection))
+        return await authenticator.by_session(cookie) if cookie else None
+    except StoreUnavailableError:  # a caller that was let in stays
+        return None if principal.is_over(wall_us()) else principal
+
+
 async def _by_session(
     connection: HTTPConnection, authenticator: Authenticator, cookie: str
 ) -> Principal | None:
@@ -375,7 +393,10 @@ def is_same_origin(
     origin = connection.headers.get("Origin")
     if origin is None:
         return unknown_is
-    return urlsplit(origin).netloc == connection.headers.get("Host")
+    try:
+        return urlsplit(origin).netloc == connection.headers.get("Host")
+    except ValueError:  # no address at all
+        return False
 
 
 def unauthorized(connection: HTTPConnection) -> Problem:

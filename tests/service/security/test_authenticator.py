@@ -97,6 +97,65 @@ async def test_known_key_is_trusted_while_the_store_is_away(store: Store, tmp_pa
         await authenticator.by_key(unknown.text)
 
 
+async def test_a_revoked_key_is_refused_while_the_store_is_away(
+    store: Store, tmp_path: Path
+) -> None:
+    authenticator = Authenticator(store)
+    key = create_key(store, "viewer")
+    principal = await authenticator.by_key(key.text)
+    assert principal is not None
+    cookie, _ = await authenticator.log_in(principal)
+    await authenticator.by_session(cookie)
+    revoke_key(store, key.record.id)
+    authenticator.forget(key.record.id)
+    take_away(store, tmp_path)
+    assert await authenticator.by_key(key.text) is None
+    assert await authenticator.by_session(cookie) is None
+    assert authenticator.knows(key.text)
+    assert not authenticator.is_in_use(key.text)
+
+
+async def test_a_key_that_ends_meanwhile_is_not_trusted_without_the_store(
+    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    authenticator = Authenticator(store)
+    key = create_key(store, "viewer", expires_in_days=1.0)
+    await authenticator.by_key(key.text)
+    take_away(store, tmp_path)
+    await asyncio.sleep(MEMORY_S + 0.05)
+    assert await authenticator.by_key(key.text) is not None
+    later_us = wall_us() + 2 * 86_400_000_000
+    monkeypatch.setattr("service.security.authenticator.wall_us", lambda: later_us)
+    with pytest.raises(StoreUnavailableError):
+        await authenticator.by_key(key.text)
+
+
+async def test_a_look_up_under_way_does_not_bring_a_revoked_key_back(store: Store) -> None:
+    hanging = Hanging(store)
+    authenticator = Authenticator(hanging)  # type: ignore[arg-type]
+    key = create_key(store, "viewer")
+    assert await authenticator.by_key(key.text) is not None
+    await asyncio.sleep(MEMORY_S + 0.05)
+    find, gate = store.access.find_key, threading.Event()
+
+    def find_early(sha256: str) -> Any:
+        found = find(sha256)
+        hanging.asked.append("found")
+        assert gate.wait(300)
+        return found
+
+    store.access.find_key = find_early  # type: ignore[method-assign]
+    asking = asyncio.create_task(authenticator.by_key(key.text))
+    async with asyncio.timeout(60):
+        while "found" not in hanging.asked:  # noqa: ASYNC110 - nobody tells
+            await asyncio.sleep(0.01)
+    revoke_key(store, key.record.id)
+    authenticator.forget(key.record.id)
+    gate.set()
+    await asking
+    assert await authenticator.by_key(key.text) is None
+
+
 async def logged_in(store: Store) -> tuple[Authenticator, str, Principal]:
     authenticator = Authenticator(store)
     principal = await authenticator.by_key(create_key(store, "operator").text)

@@ -1,5 +1,6 @@
 """Is it alive, is it ready, and the metrics."""
 
+import socket
 from typing import Literal
 
 import structlog
@@ -11,7 +12,7 @@ from starlette.responses import Response
 
 from service.documents.health import Alive, Ready, ReadyCheck
 from service.domain.roles import VIEWER
-from service.security.loopback import is_loopback
+from service.security.loopback import is_address, is_loopback
 from service.web.api.access import authenticate, problems, public, unauthorized
 from service.web.api.deps import Context, Keys, json_response
 from service.web.api.problems import RETRY_AFTER_S, Problem
@@ -104,7 +105,13 @@ _OF_A_PROXY = (
 
 
 def _is_local(request: Request) -> bool:
-    """Whether the caller sits on this machine, and not only a proxy on its behalf."""
+    """Whether the caller sits on this machine, and not only a proxy on its behalf.
+
+    A page of another site can have its name lead here (DNS rebinding): the name that was asked for
+    is this machine's own, or an address.
+    """
     if request.client is None or any(name in request.headers for name in _OF_A_PROXY):
         return False
-    return is_loopback(request.client.host)
+    name = (request.url.hostname or "").lower()
+    own = name in ("localhost", socket.gethostname().lower()) or is_address(name)
+    return own and is_loopback(request.client.host)

@@ -9,12 +9,10 @@ from service.documents.access import SessionDocument
 from service.domain.requests import RequestBody
 from service.domain.roles import VIEWER
 from service.security.authenticator import LONGEST_SESSION_S, Authenticator
-from service.security.sites import site_of
 from service.store import StoreUnavailableError
 from service.web.api.access import (
     Caller,
     actor,
-    address_of,
     cookie_name,
     is_secure,
     new_key,
@@ -46,17 +44,18 @@ class LogIn(RequestBody):
 )
 async def log_in(request: Request, body: LogIn, keys: Keys, trail: Trail) -> Response:
     """Open a browser session; it ends 12 h after its last use, after a week, or with its key."""
-    site = site_of(address_of(request))
-    _take_turn(keys, f"from {site}")
     try:
-        principal = await new_key(request, keys, body.key, trail, "session.refuse")
+        if keys.is_in_use(body.key):  # others' wrong log-ins from the same address do not count
+            principal = await keys.by_key(body.key)
+        else:
+            principal = await new_key(request, keys, body.key, trail, "session.refuse")
         if principal is None:
             raise unauthorized(request)
         if principal.role not in VIEWER:
             who = actor(request, principal.who)
             await trail.note_repeated(who, "session.refuse", "its role opens no browser session")
             raise Problem(403, f"a key of role {principal.role} opens no browser session")
-        _take_turn(keys, f"with {principal.key_id}")
+        _take_turn(keys, principal.key_id)
         cookie, principal = await keys.log_in(principal)
     except StoreUnavailableError as error:
         headers = {"Retry-After": str(RETRY_AFTER_S)}
@@ -97,9 +96,9 @@ async def log_out(request: Request, keys: Keys, line: ChangeLine) -> Response:
     return response
 
 
-def _take_turn(keys: Authenticator, caller: str) -> None:
-    """Count a log-in, right or wrong; each writes to the store."""
-    wait_s = keys.logins.wait_s(caller)
+def _take_turn(keys: Authenticator, key_id: str) -> None:
+    """Count a log-in with a key; each writes to the store."""
+    wait_s = keys.logins.wait_s(key_id)
     if wait_s:
-        raise too_many("too many log-ins", wait_s)
-    keys.logins.count(caller)
+        raise too_many("too many log-ins with this key", wait_s)
+    keys.logins.count(key_id)

@@ -3,8 +3,8 @@
 import asyncio
 import contextlib
 import time
-from collections.abc import AsyncIterator
-from typing import Annotated
+from collections.abc import AsyncIterator, Coroutine
+from typing import Annotated, Any
 
 import structlog
 from fastapi import APIRouter, Query
@@ -21,6 +21,7 @@ from service.security.audit_trail import AuditTrail
 from service.security.authenticator import Authenticator, Principal
 from service.web.api.access import (
     authenticate,
+    is_still,
     refuse_odd_query,
     refuse_other_sites,
     secured,
@@ -136,7 +137,9 @@ async def _stay(
     try:
         await websocket.accept(subprotocol)
         _log.info("stream_opened", who=principal.who, assets=wanted)
-        code, reason = await _serve(websocket, context, subscription, wanted, keys, turn)
+        sender = _Sender(websocket)
+        watching = _watch(sender, keys, principal)
+        code, reason = await _serve(sender, context, subscription, wanted, watching, turn)
     finally:
         subscription.close()
     _log.info(
@@ -219,19 +222,19 @@ async def _refuse(websocket: WebSocket, problem: Problem) -> None:
 
 
 async def _serve(
-    websocket: WebSocket,
+    sender: "_Sender",
     context: ServiceContext,
     subscription: Subscription,
     wanted: list[str],
-    keys: Authenticator,
+    watching: "Coroutine[Any, Any, Ending]",
     turn: contextlib.AsyncExitStack,
 ) -> tuple[int, str]:
     """Send until the client leaves, is too slow, loses its right, or the service stops."""
-    sender = _Sender(websocket)
+    websocket = sender.websocket
     tasks = {
         asyncio.create_task(_send(sender, context, subscription, wanted, turn)),
         asyncio.create_task(_listen(websocket)),
-        asyncio.create_task(_watch(sender, keys)),
+        asyncio.create_task(watching),
     }
     try:
         done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
@@ -325,15 +328,13 @@ async def _listen(websocket: WebSocket) -> Ending:
             return None, "the client disconnected"
 
 
-async def _watch(sender: _Sender, keys: Authenticator) -> Ending:
+async def _watch(sender: _Sender, keys: Authenticator, principal: Principal) -> Ending:
     """End the stream when its key is revoked, its session is over, or the client reads nothing."""
     while True:
         await asyncio.sleep(WATCH_EVERY_S)
         if sender.waiting_s > SEND_PATIENCE_S:
             return _TRY_AGAIN, f"nothing was read for {SEND_PATIENCE_S:g} s"
-        try:
-            principal = await authenticate(sender.websocket, keys)
-        except Problem:
-            continue  # the store does not answer; a client that was let in stays
-        if principal is None or principal.role not in VIEWER:
+        found = await is_still(sender.websocket, keys, principal)
+        if found is None or found.role not in VIEWER:
             return _POLICY, "the key is no longer valid"
+        principal = found

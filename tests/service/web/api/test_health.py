@@ -1,5 +1,6 @@
 import asyncio
 import contextlib
+import socket
 import sqlite3
 from typing import Any
 
@@ -169,6 +170,11 @@ async def test_metrics_show_the_registry(world: Any) -> None:
     ("address", "headers", "status"),
     [
         ("127.0.0.1", {}, 200),
+        ("127.0.0.1", {"Host": "localhost:8080"}, 200),
+        ("127.0.0.1", {"Host": "[::1]:8080"}, 200),
+        ("127.0.1.1", {"Host": socket.gethostname()}, 200),
+        ("127.0.0.1", {"Host": "bench.example:8080"}, 401),  # a name that was led here
+        ("127.0.0.1", {"Host": "localhost.example"}, 401),
         ("127.8.8.8", {}, 200),
         ("::1", {}, 200),
         ("127.0.0.1", {"X-Forwarded-For": "198.51.100.7"}, 401),
@@ -181,7 +187,7 @@ async def test_metrics_show_the_registry(world: Any) -> None:
 async def test_metrics_need_no_key_on_loopback(
     world: Any, address: str, headers: dict[str, str], status: int
 ) -> None:
-    client = world.client(address=(address, 40_000))
+    client = world.client(address=(address, 40_000), base_url="http://127.0.0.1:8080")
     assert (await client.get("/metrics", headers=headers)).status_code == status
 
 

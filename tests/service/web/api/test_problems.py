@@ -6,6 +6,9 @@ from structlog.testing import capture_logs
 from service.web.api.cursors import After, encode_cursor
 from service.web.api.problems import ProblemDocument
 
+from .test_query_names import calls
+
+JSON = {"Content-Type": "application/json"}
 FORECASTS = "/api/v1/assets/bench-1/forecasts"
 
 
@@ -229,3 +232,31 @@ async def test_listings_have_items_and_next(world: Any) -> None:
         document = (await engineer.get(path)).json()
         assert isinstance(document["items"], list), path
         assert document["next"] is None, path
+
+
+HALF = '"\\ud83d"'  # of a surrogate pair: JSON may spell it, no text holds it
+
+
+async def test_half_a_surrogate_pair_is_refused_in_one_line(world: Any) -> None:
+    """Its name and its value, in the body of every call and in the lists that are imported."""
+    admin = world.client("admin")
+    bodies = [f"{{{HALF}: {HALF}}}", f"[{HALF}]", HALF]
+    for method, path in calls(world):
+        if method not in ("POST", "PUT", "PATCH"):
+            continue
+        for body in bodies:
+            answer = await admin.request(method, path, content=body, headers=JSON)
+            assert answer.status_code < 500, (method, path, body, answer.text)
+            assert "\n" not in answer.json().get("detail", ""), (method, path, body)
+    for path, body in (
+        ("/api/v1/assets:import", f'{{"assets": [{{"id": {HALF}, "template": "axle"}}]}}'),
+        ("/api/v1/assets:import", f'{{"assets": [{{"id": "a", "group": {HALF}}}]}}'),
+        ("/api/v1/alarm-settings/import", f'{{"rows": [{{"asset": {HALF}, "tag": "t"}}]}}'),
+        ("/api/v1/alarm-settings/import", f'{{"rows": [], "comment": {HALF}}}'),
+        ("/api/v1/assets:remove", f'{{"ids": [{HALF}]}}'),
+        ("/api/v1/assets/bench-1/measurements", f'{{"samples": [{{"channel": {HALF}}}]}}'),
+        ("/api/v1/keys", f'{{"role": {HALF}}}'),
+    ):
+        answer = await admin.post(path, content=body, headers=JSON)
+        assert answer.status_code in (400, 422), (path, body, answer.text)
+        assert "\n" not in answer.json()["detail"]

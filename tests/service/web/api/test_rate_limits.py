@@ -25,6 +25,30 @@ async def test_an_address_may_log_in_wrongly_ten_times_a_minute(world: Any) -> N
     assert (await guesser.get("/livez")).status_code == 200
 
 
+async def test_others_wrong_log_ins_do_not_stop_a_key_that_is_in_use(world: Any) -> None:
+    at_desk, guesser = world.client(), world.client(timeout=4)
+    viewer = {"key": world.keys["viewer"]}
+    assert (await at_desk.post(SESSION, json=viewer)).status_code == 200
+    for number in range(150):
+        await guesser.post(SESSION, json={"key": f"wrong-{number}"})
+    assert_must_wait(await guesser.post(SESSION, json={"key": "wrong"}))
+    assert (await at_desk.post(SESSION, json=viewer)).status_code == 200
+    # A key that was revoked is a guess as any other.
+    assert (await world.client("admin").delete(f"/api/v1/keys/{viewer['key'][:11]}")).is_success
+    assert_must_wait(await at_desk.post(SESSION, json=viewer))
+
+
+async def test_a_key_opens_only_so_many_sessions_a_minute(world: Any) -> None:
+    world.limit("logins", 3)
+    for address in ("203.0.113.1", "203.0.113.2", "203.0.113.3", "203.0.113.4"):
+        client = world.client(address=(address, 1))
+        last = await client.post(SESSION, json={"key": world.keys["viewer"]})
+    assert_must_wait(last)
+    other = world.client(address=("203.0.113.4", 1))
+    answer = await other.post(SESSION, json={"key": world.keys["operator"]})
+    assert answer.status_code == 200
+
+
 async def test_the_addresses_of_an_ipv6_network_count_as_one(world: Any) -> None:
     for number in range(10):
         guesser = world.client(address=(f"2001:db8::{number}", 1))

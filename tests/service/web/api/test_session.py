@@ -101,9 +101,13 @@ async def test_session_changes_things_from_our_own_page_only(
     assert reading.status_code == 200
 
 
-async def test_another_site_cannot_log_a_browser_in(world: Any) -> None:
+@pytest.mark.parametrize(
+    "headers",
+    [{"Sec-Fetch-Site": "cross-site"}, {"Origin": "http://["}, {"Origin": "http://a:b"}],
+)
+async def test_another_site_cannot_log_a_browser_in(world: Any, headers: dict[str, str]) -> None:
     response = await world.client().post(
-        SESSION, json={"key": world.keys["viewer"]}, headers={"Sec-Fetch-Site": "cross-site"}
+        SESSION, json={"key": world.keys["viewer"]}, headers=headers
     )
     assert response.status_code == 403
 

@@ -312,6 +312,42 @@ async def test_revoked_key_ends_the_stream_within_two_seconds(world: Any, server
         assert "no longer valid" in closed.value.rcvd.reason
 
 
+async def strangers(world: Any) -> None:
+    """Use up what an address has of wrong keys and of unknown sessions, in a stopped minute."""
+    client = world.client(address=("127.0.0.1", 1))
+    statuses = set()
+    for number in range(40):
+        cookie = {"Cookie": f"bearing_twin_8080={number:043d}"}
+        statuses.add((await client.get("/api/v1/assets", headers=cookie)).status_code)
+        key = {"X-API-Key": f"bt_00000000_{number:043d}"}
+        statuses.add((await client.get("/api/v1/assets", headers=key)).status_code)
+    assert statuses == {401, 429}
+
+
+@pytest.mark.parametrize("ends", ["key revoked", "key of a session revoked", "logged out"])
+async def test_what_strangers_send_keeps_no_stream_open(world: Any, server: Any, ends: str) -> None:
+    async with contextlib.AsyncExitStack() as opened:
+        cookie = await opened.enter_async_context(session_cookie(world, server))
+        ours = cookie | {"Origin": f"http://127.0.0.1:{server.port}"}
+        headers = {"X-API-Key": world.keys["viewer"]} if ends == "key revoked" else ours
+        websocket = await opened.enter_async_context(server.open(headers=headers))
+        await receive(websocket, 2)
+        await strangers(world)
+        if ends == "logged out":
+            browser = world.client(headers=ours, base_url=f"http://127.0.0.1:{server.port}")
+            answer = await browser.delete("/api/v1/session")
+            assert answer.status_code == 204
+        else:
+            prefix = world.keys["viewer"][:11]
+            answer = await world.client("admin").delete(f"/api/v1/keys/{prefix}")
+            assert answer.status_code == 200
+        with pytest.raises(ConnectionClosed) as closed:
+            async with asyncio.timeout(PATIENCE_S):
+                await websocket.recv()
+        assert closed.value.rcvd is not None
+        assert closed.value.rcvd.code == 1008
+
+
 async def test_stopping_the_service_ends_the_stream_promptly(world: Any, server: Any) -> None:
     async with server.open(key=world.keys["viewer"]) as websocket:
         await receive(websocket, 2)
