@@ -22,8 +22,8 @@ class HttpForms:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on."""
-        if scope["type"] != "http":
-            await self.app(scope, receive, send)
+        if scope["type"] != "http":  # a stream; or the start and the stop, which have no target
+            await self.app(_of_path(scope) if "path" in scope else scope, receive, send)
             return
         scope = _without_refused_codings(_of_path(scope))
         if scope["method"] == "HEAD":
@@ -34,7 +34,7 @@ class HttpForms:
 
 def _of_path(scope: Scope) -> Scope:
     target = scope["raw_path"] or b""
-    if not target.lower().startswith((b"http://", b"https://")):
+    if not target.lower().startswith((b"http://", b"https://", b"ws://", b"wss://")):
         return scope
     try:
         place = urlsplit(target.decode("ascii"))

@@ -66,18 +66,22 @@ async def test_head_asks_for_a_key_and_makes_nothing(world: Any) -> None:
         (b"http://bench.example:8080/livez", "/livez", b"bench.example:8080"),
         (b"HTTP://bench.example/a%2Fb/c", "/a/b/c", b"bench.example"),
         (b"https://bench.example", "/", b"bench.example"),
+        (b"wss://bench.example/api/v1/stream", "/api/v1/stream", b"bench.example"),
         (b"http://[/livez", "http://[/livez", b"other"),
         (b"*", "*", b"other"),
     ],
 )
-async def test_a_whole_address_is_a_path_of_its_host(target: bytes, path: str, host: bytes) -> None:
+@pytest.mark.parametrize("kind", ["http", "websocket"])
+async def test_a_whole_address_is_a_path_of_its_host(
+    target: bytes, path: str, host: bytes, kind: str
+) -> None:
     found: list[Any] = []
 
     async def app(scope: Any, receive: Any, send: Any) -> None:
         found.append((scope["path"], dict(scope["headers"])[b"host"]))
 
     scope = {
-        "type": "http",
+        "type": kind,
         "method": "GET",
         "path": unquote(target.decode()),
         "raw_path": target,

@@ -254,7 +254,6 @@ async def test_half_a_surrogate_pair_is_refused_in_one_line(world: Any) -> None:
         ("/api/v1/alarm-settings/import", f'{{"rows": [{{"asset": {HALF}, "tag": "t"}}]}}'),
         ("/api/v1/alarm-settings/import", f'{{"rows": [], "comment": {HALF}}}'),
         ("/api/v1/assets:remove", f'{{"ids": [{HALF}]}}'),
-        ("/api/v1/assets/bench-1/measurements", f'{{"samples": [{{"channel": {HALF}}}]}}'),
         ("/api/v1/keys", f'{{"role": {HALF}}}'),
     ):
         answer = await admin.post(path, content=body, headers=JSON)
