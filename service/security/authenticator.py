@@ -18,7 +18,7 @@ from cachetools import FIFOCache, LRUCache
 
 from service.clock import wall_us
 from service.domain.roles import Role
-from service.security.keys import fingerprint, verify_key
+from service.security.keys import find_key, fingerprint
 from service.security.limits import RateLimit
 from service.store import ApiKey, AuditEntry, Store, StoreUnavailableError
 
@@ -118,10 +118,10 @@ class Authenticator:
         sha256 = fingerprint(text)
         if sha256 in self._wrong:
             return None
-        principal = await self._recall(f"key {sha256}", lambda: self._verify_key(text))
+        principal = await self._recall(f"key {sha256}", lambda: self._find_key(text))
         if principal is None:
             self._wrong[sha256] = None
-        return principal
+        return _if_not_over(principal)
 
     def knows(self, text: str) -> bool:
         """Whether a key was looked up lately, with whatever result."""
@@ -130,8 +130,8 @@ class Authenticator:
 
     def is_in_use(self, text: str) -> bool:
         """Whether a key has opened something since the start, and may still do so."""
-        sha256 = fingerprint(text)
-        return sha256 not in self._wrong and f"key {sha256}" in self._memory
+        known = self._memory.get(f"key {fingerprint(text)}")
+        return known is not None and _if_not_over(known.principal) is not None
 
     def knows_session(self, cookie: str) -> bool:
         """Whether a session cookie was looked up lately, or cannot be one."""
@@ -150,7 +150,7 @@ class Authenticator:
         principal = await self._recall(f"session {sha256}", lambda: self._verify_session(sha256))
         if principal is None:  # made of random bits, it is never any other session's
             self._wrong[sha256] = None
-        return principal
+        return _if_not_over(principal)
 
     async def log_in(self, principal: Principal) -> tuple[str, Principal]:
         """Open a browser session; returns the cookie's value and the caller as of now.
@@ -215,8 +215,6 @@ class Authenticator:
         known = self._memory.get(name)
         if known is None or now_s - known.at_s > MEMORY_WITHOUT_STORE_S:
             raise error
-        if known.principal.is_over(wall_us()):
-            raise error
         _log.warning("store_away_trusting_known_key", since_s=round(now_s - known.at_s, 1))
         return known.principal
 
@@ -261,8 +259,8 @@ class Authenticator:
             raise _hangs(patience_s)
         return pending.look_up.result()
 
-    def _verify_key(self, text: str) -> Principal | None:
-        key = verify_key(self._store, text)
+    def _find_key(self, text: str) -> Principal | None:
+        key = find_key(self._store, text)
         if key is None:
             return None
         return Principal(
@@ -290,6 +288,11 @@ class Authenticator:
 
 def _hangs(patience_s: float) -> StoreUnavailableError:
     return StoreUnavailableError(f"the store did not answer within {patience_s:g} s")
+
+
+def _if_not_over(principal: Principal | None) -> Principal | None:
+    """Leave out who has ended by now: not for good, a clock that was wrong can be set back."""
+    return None if principal is None or principal.is_over(wall_us()) else principal
 
 
 def _of_session(key: ApiKey, expires_us: int) -> Principal:

@@ -113,8 +113,8 @@ def create_key(
     return NewKey(text, record)
 
 
-def verify_key(store: Store, text: str) -> ApiKey | None:
-    """Return the record of a key that is valid now; None for any other text.
+def find_key(store: Store, text: str) -> ApiKey | None:
+    """Return the record of a key that was not revoked, but may have ended; None for any other text.
 
     The look-up goes by the hash, which reveals nothing to an attacker's clock about any key; the
     prefix is compared in constant time on top. Raises `StoreUnavailableError` if the store does not
@@ -125,7 +125,7 @@ def verify_key(store: Store, text: str) -> ApiKey | None:
     record = store.access.find_key(fingerprint(text))
     if record is None or not hmac.compare_digest(record.prefix, text[:_PREFIX_LENGTH]):
         return None
-    return record if record.is_valid(wall_us()) else None
+    return record if record.revoked_us is None else None
 
 
 def list_keys(store: Store) -> list[ApiKey]:

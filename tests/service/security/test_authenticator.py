@@ -35,6 +35,19 @@ async def test_key_names_its_owner(store: Store) -> None:
     assert principal.who == f"operator {key.record.prefix}"
 
 
+async def test_an_expired_key_opens_nothing(store: Store) -> None:
+    text = "bt_12345678_" + "A" * 43
+    now_us = wall_us()
+    store.access.add_key(
+        prefix=text[:11],
+        sha256=fingerprint(text),
+        role="viewer",
+        created_us=now_us - 10,
+        expires_us=now_us - 1,
+    )
+    assert await Authenticator(store).by_key(text) is None
+
+
 async def test_unknown_key_and_cookie_are_nobody(store: Store) -> None:
     authenticator = Authenticator(store)
     assert await authenticator.by_key("bt_00000000_" + "A" * 43) is None
@@ -115,19 +128,23 @@ async def test_a_revoked_key_is_refused_while_the_store_is_away(
     assert not authenticator.is_in_use(key.text)
 
 
-async def test_a_key_that_ends_meanwhile_is_not_trusted_without_the_store(
-    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("store_is_away", [False, True])
+async def test_a_key_opens_nothing_beyond_its_expiry_and_is_right_again_with_the_clock(
+    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, store_is_away: bool
 ) -> None:
     authenticator = Authenticator(store)
     key = create_key(store, "viewer", expires_in_days=1.0)
     await authenticator.by_key(key.text)
-    take_away(store, tmp_path)
+    if store_is_away:
+        take_away(store, tmp_path)
     await asyncio.sleep(MEMORY_S + 0.05)
     assert await authenticator.by_key(key.text) is not None
     later_us = wall_us() + 2 * 86_400_000_000
-    monkeypatch.setattr("service.security.authenticator.wall_us", lambda: later_us)
-    with pytest.raises(StoreUnavailableError):
-        await authenticator.by_key(key.text)
+    with monkeypatch.context() as clock:
+        clock.setattr("service.security.authenticator.wall_us", lambda: later_us)
+        assert await authenticator.by_key(key.text) is None
+        assert not authenticator.is_in_use(key.text)
+    assert await authenticator.by_key(key.text) is not None
 
 
 async def test_a_look_up_under_way_does_not_bring_a_revoked_key_back(store: Store) -> None:

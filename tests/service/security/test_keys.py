@@ -10,10 +10,10 @@ from service.security.keys import (
     UnknownKeyError,
     UnknownRoleError,
     create_key,
+    find_key,
     fingerprint,
     list_keys,
     revoke_key,
-    verify_key,
 )
 from service.store import Store
 
@@ -21,7 +21,7 @@ from service.store import Store
 @pytest.mark.parametrize("role", ROLES)
 def test_key_opens_what_it_was_made_for(store: Store, role: str) -> None:
     key = create_key(store, role)
-    record = verify_key(store, key.text)
+    record = find_key(store, key.text)
     assert record == key.record
     assert record is not None
     assert record.role == role
@@ -52,15 +52,15 @@ def test_key_itself_is_nowhere_on_the_disk(store: Store, tmp_path: Path) -> None
 )
 def test_anything_else_opens_nothing(store: Store, text: str) -> None:
     create_key(store, "admin")
-    assert verify_key(store, text) is None
+    assert find_key(store, text) is None
 
 
 def test_changed_key_opens_nothing(store: Store) -> None:
     text = create_key(store, "viewer").text
     last = "A" if text[-1] != "A" else "B"
-    assert verify_key(store, text[:-1] + last) is None
-    assert verify_key(store, text + "A") is None
-    assert verify_key(store, text.upper()) is None
+    assert find_key(store, text[:-1] + last) is None
+    assert find_key(store, text + "A") is None
+    assert find_key(store, text.upper()) is None
 
 
 def test_hash_under_another_prefix_opens_nothing(store: Store, tmp_path: Path) -> None:
@@ -69,10 +69,10 @@ def test_hash_under_another_prefix_opens_nothing(store: Store, tmp_path: Path) -
         connection.execute("UPDATE api_keys SET prefix = 'bt_ffffffff'")
     connection.close()
     assert store.access.find_key(fingerprint(key.text)) is not None
-    assert verify_key(store, key.text) is None
+    assert find_key(store, key.text) is None
 
 
-def test_expired_key_opens_nothing(store: Store) -> None:
+def test_expired_key_is_not_valid(store: Store) -> None:
     text = "bt_12345678_" + "A" * 43
     now_us = wall_us()
     store.access.add_key(
@@ -82,7 +82,9 @@ def test_expired_key_opens_nothing(store: Store) -> None:
         created_us=now_us - 10,
         expires_us=now_us - 1,
     )
-    assert verify_key(store, text) is None
+    record = find_key(store, text)
+    assert record is not None
+    assert not record.is_valid(wall_us())
 
 
 def test_expiry_is_counted_in_days(store: Store) -> None:
@@ -108,8 +110,8 @@ def test_revoked_key_opens_nothing_and_stays_listed(store: Store, by: str) -> No
     key, other = create_key(store, "viewer"), create_key(store, "operator")
     revoked = revoke_key(store, getattr(key.record, by))
     assert revoked.revoked_us is not None
-    assert verify_key(store, key.text) is None
-    assert verify_key(store, other.text) is not None
+    assert find_key(store, key.text) is None
+    assert find_key(store, other.text) is not None
     assert [one.id for one in list_keys(store)] == [key.record.id, other.record.id]
 
 

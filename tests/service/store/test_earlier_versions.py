@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 from service.cli.main import app
 from service.clock import MINUTE_US
 from service.features.runs.runs import Runs
-from service.security.keys import verify_key
+from service.security.keys import find_key
 from service.store import Store
 from service.store.backup import restore
 from service.store.opening import FILE_NAME
@@ -46,7 +46,7 @@ def require_all(store: Store, version: str) -> None:
     active = store.models.active("bench-1")
     assert active is not None
     assert (active.version, active.status, active.document["model"]) == (1, "active", "default")
-    key = verify_key(store, known["key"])
+    key = find_key(store, known["key"])
     assert key is not None
     assert (key.role, key.label) == ("engineer", "workshop")
     run = store.part(Runs).get("bench-1", known["run"])
