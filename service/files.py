@@ -52,19 +52,37 @@ def replacing(path: Path, *, binary: bool = False, private: bool = False) -> Ite
     FileError
         If the file cannot be written.
     """
-    part = path.with_name(f"{path.name}.part")
     encoding, newline = (None, None) if binary else ("utf-8", "")
     try:
-        with part.open("wb" if binary else "w", encoding=encoding, newline=newline) as file:
-            if private:
-                part.chmod(0o600)
-            yield file
-            file.flush()
-            os.fsync(file.fileno())
-        part.replace(path)
+        with new_part(path, 0o600 if private else 0o666) as part:
+            with open(
+                part,
+                "wb" if binary else "w",
+                encoding=encoding,
+                newline=newline,
+                opener=_open_no_link,
+            ) as file:
+                yield file
+                file.flush()
+                os.fsync(file.fileno())
+            part.replace(path)
         _sync_folder(path.parent)
     except OSError as error:
         raise FileError(f"{path}: cannot be written ({error.strerror})") from error
+
+
+@contextmanager
+def new_part(path: Path, mode: int = 0o600) -> Iterator[Path]:
+    """Make an empty file next to a place, to be filled and moved there; removed otherwise.
+
+    What has its name already, such as a link that someone planted, goes and is not followed. Raises
+    `OSError` if the file cannot be made.
+    """
+    part = path.with_name(f"{path.name}.part")
+    part.unlink(missing_ok=True)
+    os.close(_open_no_link(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode))
+    try:
+        yield part
     finally:
         part.unlink(missing_ok=True)
 
@@ -98,6 +116,10 @@ def make_private_file(path: Path) -> None:
                 path.chmod(0o600)
         else:
             os.close(os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600))
+
+
+def _open_no_link(path: str | Path, flags: int, mode: int = 0o666) -> int:
+    return os.open(path, flags | os.O_NOFOLLOW, mode)
 
 
 def _sync_folder(path: Path) -> None:

@@ -1,5 +1,6 @@
 """``bearing-twin example``: the example configuration, to write one's own from."""
 
+import os
 from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Annotated
@@ -26,7 +27,7 @@ def example(
         contents = {_NAME: text.read_bytes()}
     contents["bench.dbc"] = (files("adapters.virtual_bench") / "bench.dbc").read_bytes()
     for name in contents:
-        if (folder / name).exists():
+        if os.path.lexists(folder / name):  # a link that leads to no file would be followed
             raise BadInputError(f"{str(folder / name)!r} is there already; expected no such file")
     for name, content in contents.items():
         (folder / name).write_bytes(content)

@@ -1,6 +1,5 @@
 """Who the OPC UA server is: the name of its application, its certificate and its private key."""
 
-import os
 import re
 import secrets
 import socket
@@ -21,6 +20,7 @@ from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.serialization import Encoding, load_pem_private_key
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
+from service.files import new_part
 from service.site.configuration import SettingsError
 
 #: Of a certificate that is made here.
@@ -176,8 +176,6 @@ def _bytes_of(key: str, path: Path) -> bytes:
 
 def _write(path: Path, content: bytes) -> None:
     """Write a file that no one else can read at any moment."""
-    part = path.with_name(f"{path.name}.part")
-    part.unlink(missing_ok=True)
-    with os.fdopen(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
-        file.write(content)
-    part.replace(path)
+    with new_part(path) as part:
+        part.write_bytes(content)
+        part.replace(path)
