@@ -12,11 +12,12 @@ from pathlib import Path
 import psycopg
 from sqlalchemy.engine import URL
 
-from service.files import make_private_file
+from service.files import new_part
 from service.store.copies import check_sqlite, copy_sqlite, table_counts
 from service.store.errors import StoreError
 from service.store.identity import RESTORED, renew
-from service.store.opening import open_database
+from service.store.sqlite import open_sqlite
+from service.store.sqlite_file import complete_schema, connect_file, find_program
 from service.store.tables import all_tables
 
 #: Tables whose rows make a store that someone would miss.
@@ -69,10 +70,15 @@ def _restore_sqlite(path: Path, backup: Path, *, force: bool) -> dict[str, int]:
     counts = copy_sqlite(backup, new)
     try:
         # An older backup is brought up to date before it takes its place.
-        database = open_database(f"sqlite:///{new}", path.parent, migrate=True)
-        with contextlib.closing(database), database.writing() as writer:
-            renew(writer, RESTORED)
-        with contextlib.closing(sqlite3.connect(new, isolation_level=None)) as connection:
+        database = open_sqlite(URL.create("sqlite", database=str(new)))
+        with contextlib.closing(database):
+            with contextlib.closing(connect_file(new)) as connection:
+                strange = complete_schema(connection)
+            if strange:
+                raise StoreError(f"backup {backup}: {strange}")
+            with database.writing() as writer:
+                renew(writer, RESTORED)
+        with contextlib.closing(connect_file(new)) as connection:
             connection.execute("PRAGMA journal_mode = DELETE")
             connection.execute("DELETE FROM browser_sessions")
             restored = table_counts(connection)
@@ -97,18 +103,21 @@ def _restore_sqlite(path: Path, backup: Path, *, force: bool) -> dict[str, int]:
 
 def _check_backup(backup: Path) -> None:
     try:
-        with contextlib.closing(sqlite3.connect(f"file:{backup}?mode=ro", uri=True)) as connection:
-            problems = check_sqlite(connection)
-            ours = "alembic_version" in table_counts(connection)
+        with contextlib.closing(connect_file(backup, read_only=True)) as connection:
+            tables = connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")
+            if ("alembic_version",) not in tables.fetchall():
+                problems = "not a store of bearing-twin"
+            else:
+                problems = find_program(connection) or check_sqlite(connection)
     except sqlite3.Error as error:
-        problems, ours = str(error), True
-    if problems or not ours:
-        raise StoreError(f"backup {backup}: {problems or 'not a store of bearing-twin'}")
+        problems = " ".join(str(error).split())
+    if problems:
+        raise StoreError(f"backup {backup}: {problems}")
 
 
 def _holds_something(path: Path) -> bool:
     try:
-        with contextlib.closing(sqlite3.connect(path)) as connection:
+        with contextlib.closing(connect_file(path)) as connection:
             return any(table_counts(connection).get(name) for name in _MISSED)
     except sqlite3.Error:
         return True  # damaged, or not ours
@@ -131,31 +140,28 @@ def _remove(path: Path) -> None:
 
 # ---------------------------------------------------------------------- PostgreSQL
 def _dump(url: URL, out: Path) -> dict[str, int]:
-    part = out.with_name(f"{out.name}.part")
-    make_private_file(part)
     try:
-        with psycopg.connect(_address(url)) as connection:
-            connection.execute("SET TRANSACTION ISOLATION LEVEL REPEATABLE READ READ ONLY")
-            snapshot = connection.execute("SELECT pg_export_snapshot()").fetchone()
-            counts = _server_counts(connection)
-            _run(
-                "pg_dump",
-                [
-                    "--format=custom",
-                    "--no-owner",
-                    f"--file={part}",
-                    f"--snapshot={(snapshot or '')[0]}",
-                ],
-                url,
-            )
-        dumped = _dumped_counts(part, url)
-        if dumped != counts:
-            raise StoreError(f"backup {out}: has {dumped} rows, expected {counts}")
-        part.replace(out)
+        with new_part(out) as part:
+            with psycopg.connect(_address(url)) as connection:
+                connection.execute("SET TRANSACTION ISOLATION LEVEL REPEATABLE READ READ ONLY")
+                snapshot = connection.execute("SELECT pg_export_snapshot()").fetchone()
+                counts = _server_counts(connection)
+                _run(
+                    "pg_dump",
+                    [
+                        "--format=custom",
+                        "--no-owner",
+                        f"--file={part}",
+                        f"--snapshot={(snapshot or '')[0]}",
+                    ],
+                    url,
+                )
+            dumped = _dumped_counts(part, url)
+            if dumped != counts:
+                raise StoreError(f"backup {out}: has {dumped} rows, expected {counts}")
+            part.replace(out)
     except (psycopg.Error, OSError) as error:
         raise StoreError(f"backup {out}: {' '.join(str(error).split())}") from error
-    finally:
-        part.unlink(missing_ok=True)
     return counts
 
 

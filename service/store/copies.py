@@ -5,8 +5,9 @@ import os
 import sqlite3
 from pathlib import Path
 
-from service.files import make_private_file
+from service.files import new_part
 from service.store.errors import StoreError
+from service.store.sqlite_file import connect_file
 
 
 def copy_sqlite(source: Path, target: Path) -> dict[str, int]:
@@ -16,31 +17,27 @@ def copy_sqlite(source: Path, target: Path) -> dict[str, int]:
     rows in each table as the source at that moment. Raises `StoreError` if the source is damaged,
     or the copy cannot be made or is not whole.
     """
-    part = target.with_name(f"{target.name}.part")
-    part.unlink(missing_ok=True)
-    make_private_file(part)
     try:
-        with (
-            contextlib.closing(sqlite3.connect(source, isolation_level=None)) as old,
-            contextlib.closing(sqlite3.connect(part, isolation_level=None)) as new,
-        ):
-            old.execute("BEGIN")  # what is counted is what is copied
-            counts = table_counts(old)
-            old.backup(new)
-            old.execute("ROLLBACK")
-            new.execute("PRAGMA journal_mode = DELETE")
-            if problems := check_sqlite(new):
-                raise StoreError(f"copy of {source}: not whole ({problems})")
-            copied = table_counts(new)
-        if copied != counts:
-            raise StoreError(f"copy of {source}: has {copied} rows, expected {counts}")
-        with part.open("rb") as file:
-            os.fsync(file.fileno())
-        part.replace(target)
+        with new_part(target) as part:
+            with (
+                contextlib.closing(connect_file(source)) as old,
+                contextlib.closing(connect_file(part)) as new,
+            ):
+                old.execute("BEGIN")  # what is counted is what is copied
+                counts = table_counts(old)
+                old.backup(new)
+                old.execute("ROLLBACK")
+                new.execute("PRAGMA journal_mode = DELETE")
+                if problems := check_sqlite(new):
+                    raise StoreError(f"copy of {source}: not whole ({problems})")
+                copied = table_counts(new)
+            if copied != counts:
+                raise StoreError(f"copy of {source}: has {copied} rows, expected {counts}")
+            with part.open("rb") as file:
+                os.fsync(file.fileno())
+            part.replace(target)
     except (sqlite3.Error, OSError) as error:
         raise StoreError(f"copy of {source} to {target}: {error}") from error
-    finally:
-        part.unlink(missing_ok=True)
     return counts
 
 

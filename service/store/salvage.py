@@ -19,6 +19,7 @@ from service.store.pages import PageRow, log_rows, page_rows
 from service.store.queue_file import set_aside
 from service.store.rollup_blocks import SPANS_US
 from service.store.sqlite import open_sqlite
+from service.store.sqlite_file import connect_file
 from service.store.tables import all_tables
 
 #: Rows of these tables come from their trees alone: a page that is not in use any more may hold a
@@ -54,7 +55,7 @@ def damage_of(path: Path) -> str | None:
     if not path.is_file():
         raise StoreError(f"store {path}: there is no such file")
     try:
-        with contextlib.closing(sqlite3.connect(path, timeout=30.0)) as connection:
+        with contextlib.closing(connect_file(path, timeout_s=30.0)) as connection:
             found = connection.execute("PRAGMA quick_check(3)").fetchall()
     except sqlite3.DatabaseError as error:
         return " ".join(str(error).split())
@@ -74,7 +75,7 @@ def salvage_store(path: Path, problem: str) -> Salvaged:
         new.with_name(new.name + companion).unlink(missing_ok=True)
     open_sqlite(URL.create("sqlite", database=str(new))).close()
     try:
-        with contextlib.closing(sqlite3.connect(new, isolation_level=None)) as target:
+        with contextlib.closing(connect_file(new)) as target:
             target.execute("PRAGMA foreign_keys = OFF")
             target.execute("BEGIN")
             _copy_trees(path, target)
@@ -95,7 +96,7 @@ def salvage_store(path: Path, problem: str) -> Salvaged:
 def _copy_trees(path: Path, target: sqlite3.Connection) -> None:
     """Copy what SQLite itself finds, up to the damage."""
     try:
-        source = sqlite3.connect(path, timeout=1.0)
+        source = connect_file(path, timeout_s=1.0)
     except sqlite3.Error:
         return
     with contextlib.closing(source):

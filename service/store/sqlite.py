@@ -39,6 +39,7 @@ from service.store.errors import (
 )
 from service.store.locking import who_uses
 from service.store.migrations import is_current, make_tables, upgrade
+from service.store.sqlite_file import GUARD, connect_file
 
 _Number = TypeVar("_Number", np.int64, np.float64, np.uint16)
 
@@ -141,13 +142,13 @@ def _require_same(path: Path) -> Callable[[], None]:
 
 
 def _has_tables(path: Path) -> bool:
-    with contextlib.closing(sqlite3.connect(path, timeout=PATIENCE_S)) as connection:
+    with contextlib.closing(connect_file(path, timeout_s=PATIENCE_S)) as connection:
         return connection.execute("SELECT 1 FROM sqlite_master").fetchone() is not None
 
 
 def _prepare_upgrade(path: Path) -> None:
     """Make sure that no older service runs on a store with tables, and keep a copy of it."""
-    with contextlib.closing(sqlite3.connect(path, timeout=PATIENCE_S)) as connection:
+    with contextlib.closing(connect_file(path, timeout_s=PATIENCE_S)) as connection:
         (revision,) = connection.execute("SELECT version_num FROM alembic_version").fetchone()
     holder = who_uses(path)
     if holder is not None:
@@ -272,6 +273,7 @@ def _engine(url: URL, pool_size: int, max_overflow: int) -> Engine:
     def prepare(connection: sqlite3.Connection, _entry: ConnectionPoolEntry) -> None:
         # The driver's own idea of when a transaction begins is switched off: see `begin`.
         connection.isolation_level = None
+        connection.execute(GUARD)
         # A commit is on the disk when it returns: what was acknowledged outlives a power cut.
         connection.execute("PRAGMA synchronous = FULL")
         connection.execute("PRAGMA foreign_keys = ON")

@@ -208,7 +208,7 @@ async def _next_poll_s(bench: _Bench, began_us: int) -> float:
 async def _stored(file: Path, query: str) -> int:
     """Wait until the store has an answer."""
     deadline_s = time.perf_counter() + _PATIENCE_S
-    with contextlib.closing(sqlite3.connect(f"file:{file}?mode=ro", uri=True)) as store:
+    with contextlib.closing(sqlite3.connect(f"{file.as_uri()}?mode=ro", uri=True)) as store:
         while time.perf_counter() < deadline_s:
             row = store.execute(query).fetchone()
             if row is not None and row[0] is not None:

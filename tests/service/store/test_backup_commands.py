@@ -130,7 +130,9 @@ def test_a_backup_of_postgresql_is_restored(
         with pytest.raises(StoreError, match=r"pg_dump: not found; expected PostgreSQL's client"):
             back_up(url, out)
         monkeypatch.setenv("PATH", str(found[0]))
+        out.with_name("backup.dump.part").symlink_to(tmp_path / "victim")
         assert back_up(url, out)["samples"] == COUNT
+        assert not (tmp_path / "victim").exists(), "a planted link is not followed"
         store.samples.write([Sample("a", "x", COUNT, 1.0, 192, 0)])
     assert stat.S_IMODE(out.stat().st_mode) == 0o600
     assert restore(new, out, force=False)["samples"] == COUNT
