@@ -7,6 +7,7 @@ import shutil
 import sqlite3
 import subprocess
 from collections.abc import Mapping, Sequence
+from glob import escape
 from pathlib import Path
 
 import psycopg
@@ -96,7 +97,7 @@ def _restore_sqlite(path: Path, backup: Path, *, force: bool) -> dict[str, int]:
         raise StoreError(f"store {path}: cannot be restored ({error})") from error
     finally:
         _remove(new)
-        for copy in new.parent.glob(f"{new.stem}-before-upgrade-*"):
+        for copy in new.parent.glob(f"{escape(new.stem)}-before-upgrade-*"):
             copy.unlink()
     return restored
 

@@ -5,6 +5,7 @@ import os
 import sqlite3
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from glob import escape
 from operator import itemgetter
 from pathlib import Path
 from typing import Any, TypeVar
@@ -159,7 +160,7 @@ def _prepare_upgrade(path: Path) -> None:
     copy = path.with_name(f"{path.stem}-before-upgrade-{revision}{path.suffix}")
     if not copy.exists():
         copy_sqlite(path, copy)
-    copies = sorted(path.parent.glob(f"{path.stem}-before-upgrade-*{path.suffix}"))
+    copies = sorted(path.parent.glob(f"{escape(path.stem)}-before-upgrade-*{path.suffix}"))
     for old in copies[:-_KEPT_COPIES]:
         old.unlink()
 

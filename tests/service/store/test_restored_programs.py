@@ -159,8 +159,11 @@ def test_a_backup_of_any_older_version_has_nothing_strange(
     engine = create_engine(f"sqlite:///{old}")
     upgrade(engine, revision)
     engine.dispose()
-    restore(target, old, force=False)
-    assert ("trigger", "audit_no_delete") in made(target)
+    # Also under a name that means something to a search for files.
+    place = target.set(database=str(tmp_path / "target" / "site[1].db"))
+    restore(place, old, force=False)
+    assert ("trigger", "audit_no_delete") in made(place)
+    assert list((tmp_path / "target").glob("*before-upgrade*")) == []
 
 
 def test_no_connection_of_a_store_trusts_what_its_file_says(tmp_path: Path) -> None:
