@@ -1,6 +1,7 @@
 """What a server says of the units of its nodes, however it takes the question."""
 
 import asyncio
+import itertools
 import struct
 from types import SimpleNamespace
 from typing import Any
@@ -268,11 +269,100 @@ def test_a_unit_that_becomes_known_ends_no_other_doubt() -> None:
 def test_bits_that_only_inform_make_no_value_another_one() -> None:
     driver = driver_of(OpcUaChannel(source="plc", node=NODE))
     driver._unit_questions.take(StatedUnits({NODE: "°C"}))
-    for code in (0x480, 0x4000, 0):
+    for code in (0x480, 0):
         value = value_of(40.0)
         value.StatusCode = ua.StatusCode(code)
         (sample,) = driver._take([(NODE, value)], stands=True)
         assert sample.quality == Quality.GOOD
+
+
+async def asked_again(driver: OpcUaDriver, session: Session) -> None:
+    """Let it be time for a question, and wait for the answer."""
+    questions = driver._unit_questions
+    questions._ask_at = questions._check_at = 0.0
+    questions.go_on(session)
+    assert questions._asking is not None
+    await questions._asking
+
+
+def stated(unit: str) -> Any:
+    return ua.EUInformation(DisplayName=ua.LocalizedText(unit))
+
+
+def answering(driver: OpcUaDriver) -> tuple[Session, Server]:
+    session, server = Session(driver._source), Server()
+    session._nodes = dict(NODES)
+    server.state = UaClientState.CONNECTED
+    session._client = SimpleNamespace(uaclient=server)
+    return session, server
+
+
+async def test_a_unit_that_changes_while_connected_is_followed() -> None:
+    driver = driver_of(OpcUaChannel(source="plc", node=NODE))
+    session, server = answering(driver)
+    await driver._unit_questions.begin(session)
+    times = itertools.count()
+
+    def taken(number: float, code: int = 0) -> tuple[float, int]:
+        at = moment_of(NOW_US - 1000 + next(times))
+        value = ua.DataValue(ua.Variant(number), ua.StatusCode(code), SourceTimestamp=at)
+        (sample,) = driver._take([(NODE, value)], stands=True)
+        return round(sample.value, 2), sample.quality
+
+    assert taken(300.0) == (26.85, Quality.GOOD)
+    server.unit = stated("°C")
+    # The server says with one value that the meaning is another one.
+    assert taken(26.9, 0x4000)[1] == Quality.UNCERTAIN
+    assert taken(27.0)[1] == Quality.UNCERTAIN
+    reason = "the server does not say its unit: it has changed, no answer yet; "
+    assert driver.health().problems == {"bench/t_0_c": f"{reason}expected one, or scale"}
+    await asked_again(driver, session)
+    assert taken(27.0) == (27.0, Quality.GOOD)
+    # Another server does not say it: it is asked now and then.
+    server.unit = stated("K")
+    await asked_again(driver, session)
+    assert taken(300.0) == (26.85, Quality.GOOD)
+
+
+async def test_an_answer_from_before_the_change_ends_no_doubt() -> None:
+    driver = driver_of(OpcUaChannel(source="plc", node=NODE))
+    session, server = answering(driver)
+    await driver._unit_questions.begin(session)
+    value = value_of(26.9)
+    value.StatusCode = ua.StatusCode(0x4000)
+    ask = session.stated_units
+
+    async def change(nodes: Any) -> StatedUnits:
+        found = await ask(nodes)
+        driver._take([(NODE, value)], stands=True)
+        return found
+
+    session.stated_units = change  # type: ignore[method-assign]
+    await asked_again(driver, session)
+    assert driver.health().problems
+    server.unit = stated("°C")
+    session.stated_units = ask  # type: ignore[method-assign]
+    await asked_again(driver, session)
+    (sample,) = driver._take([(NODE, value_of(26.9))], stands=True)
+    assert (sample.value, driver.health().problems) == (26.9, {})
+
+
+async def test_a_check_without_an_answer_ends_no_trust_and_a_bit_that_stays_no_value() -> None:
+    driver = driver_of(OpcUaChannel(source="plc", node=NODE))
+    session, server = answering(driver)
+    await driver._unit_questions.begin(session)
+    server.refusal = ua.uaerrors.BadTimeout()
+    await asked_again(driver, session)
+    (sample,) = driver._take([(NODE, value_of(300.0))], stands=True)
+    assert (round(sample.value, 2), sample.quality) == (26.85, Quality.GOOD)
+    server.refusal = None
+    for number in range(4):  # a server that never takes the bit back
+        value = value_of(300.0 + number)
+        value.StatusCode = ua.StatusCode(0x4000)
+        driver._take([(NODE, value)], stands=True)
+        if number == 0:
+            await asked_again(driver, session)
+    assert driver.health().problems.get("bench/t_0_c", STANDS) == STANDS
 
 
 def test_a_reconnection_ends_no_doubt_about_a_source_whose_time_stands() -> None:

@@ -37,6 +37,7 @@ _LIMIT_BITS = 0x03
 _INFO_OF_A_VALUE = 0x0400
 _INFO_TYPE = 0x0C00
 _OVERFLOW = 0x0080
+_SEMANTICS_CHANGED = 0x4000
 
 
 def status_code(quality: int) -> int:
@@ -62,6 +63,11 @@ def quality_of(code: int) -> int:
 def with_overflow(code: int) -> int:
     """Status code of a value before which the server lost some, as its queue was full."""
     return code | _INFO_OF_A_VALUE | _OVERFLOW
+
+
+def has_changed_meaning(code: int) -> bool:
+    """Whether the server says that its unit or range is another one since (Part 4, 7.39.1)."""
+    return bool(code & _SEMANTICS_CHANGED)
 
 
 def has_overflown(code: int) -> bool:

@@ -11,6 +11,7 @@ from typing import Any, Self
 
 from adapters.backoff import Backoff
 from adapters.drivers.opcua.backfill import fill_in
+from adapters.drivers.opcua.codes import has_changed_meaning
 from adapters.drivers.opcua.config import OpcUaChannel, OpcUaSource, check
 from adapters.drivers.opcua.session import Session, SessionError
 from adapters.drivers.opcua.unit_questions import UnitQuestions
@@ -63,6 +64,7 @@ class OpcUaDriver:
         self._filling: asyncio.Task[None] | None = None
         self._history: asyncio.Queue[list[Sample]] = asyncio.Queue(HISTORY_WAITS)
         self._unit_questions = UnitQuestions(source.name, self._points)
+        self._other_meaning: set[str] = set()  # nodes whose latest value says so
 
     @property
     def name(self) -> str:
@@ -180,12 +182,25 @@ class OpcUaDriver:
     def _take(self, found: Sequence[tuple[str, Any]], stands: bool = False) -> list[Sample]:
         """Make samples of data values; with `stands` an unchanged one is valid as of now."""
         now_us = self._clock.now_us()
+        self._see_changed_units(found)
         return [
             sample
             for node, value in found
             for point in self._by_node[node]
             if (sample := self._sample(point, value, now_us, stands)) is not None
         ]
+
+    def _see_changed_units(self, found: Sequence[tuple[str, Any]]) -> None:
+        """Doubt the nodes of which the server begins to say that their meaning has changed."""
+        changed = []
+        for node, value in found:
+            code = 0 if value.StatusCode is None else int(value.StatusCode.value)
+            if not has_changed_meaning(code):
+                self._other_meaning.discard(node)
+            elif node not in self._other_meaning:
+                self._other_meaning.add(node)
+                changed.append(node)
+        self._unit_questions.doubt(changed)
 
     def _sample(self, point: FollowedNode, value: Any, now_us: int, stands: bool) -> Sample | None:
         found = point.read(value, now_us, self._clock.rate)

@@ -17,6 +17,8 @@ logger = logging.getLogger(__name__)
 # Wall seconds: values wait for the first answer so long, and the question is repeated.
 WAIT_S = 2.0
 AGAIN_FIRST_S, AGAIN_LAST_S = 10.0, 600.0
+# Few servers say that a unit has changed while a client is connected.
+CHECK_S = 600.0
 # After so many answers history is fetched as it is, and a node without a unit has none.
 MOST_QUESTIONS = 3
 
@@ -36,13 +38,16 @@ class UnitQuestions:
         self._points = points
         self._given = [point.config for point in points]
         self._units: dict[str, str] = {}  # of nodes, as the server stated them last
-        self._unasked: list[str] = []  # nodes of which it does not say whether they have one
+        self._asked: list[str] = []  # nodes whose unit matters
+        self._unasked: dict[str, str] = {}  # of these, those whose unit is not known now, and why
         self._without: list[str] = []  # nodes that have none, which may come a little later
         self._answers = 0  # since the connection
         self._ends_connection = False  # the question did, the last time
         self._asking: asyncio.Task[None] | None = None
         self._again = Backoff(AGAIN_FIRST_S, AGAIN_LAST_S)
         self._ask_at = -math.inf  # wall (monotonic) time
+        self._asked_at = self._check_at = -math.inf
+        self._changed: set[str] = set()  # since the question that is under way
 
     @property
     def awaited(self) -> Collection[str]:
@@ -61,8 +66,8 @@ class UnitQuestions:
             self._ask_at = -math.inf
         self._answers, self._without = 0, []
         followed = zip(self._points, self._given, strict=True)
-        asked = [given.node for point, given in followed if needs_unit(given, point.unit)]
-        self._doubt(dict.fromkeys(asked, "no answer yet"))
+        self._asked = [given.node for point, given in followed if needs_unit(given, point.unit)]
+        self._doubt(dict.fromkeys(self._asked, "no answer yet"))
         self.go_on(session)
         if self._asking is not None:
             await asyncio.wait({self._asking}, timeout=WAIT_S)
@@ -70,11 +75,28 @@ class UnitQuestions:
             raise SessionError(session.lost)
 
     def go_on(self, session: Session) -> None:
-        """Ask for what the server has not said, when it is time, while values go on."""
-        is_asking = self._asking is not None and not self._asking.done()
-        is_due = bool(self._unasked or self._without) and time.monotonic() >= self._ask_at
-        if is_due and not is_asking:
-            self._asking = asyncio.create_task(self._ask(session))
+        """Ask for what the server has not said, when it is time, while values go on.
+
+        What it has said is asked for again now and then.
+        """
+        if self._asking is not None and not self._asking.done():
+            return
+        now_s = time.monotonic()
+        waiting = [*self._unasked, *self._without]
+        if waiting and now_s >= self._ask_at:
+            self._asking = asyncio.create_task(self._ask(session, waiting))
+        elif self._asked and not self._unasked and now_s >= self._check_at:
+            self._asking = asyncio.create_task(self._ask(session, self._asked, is_check=True))
+
+    def doubt(self, nodes: Collection[str]) -> None:
+        """Note that the server says that what these nodes hold has another meaning now."""
+        changed = {node: "it has changed, no answer yet" for node in nodes if node in self._asked}
+        if changed:
+            logger.warning("source %s: units have changed: %s", self._source, ", ".join(changed))
+            self._changed |= changed.keys()
+            self._again.reset()
+            self._ask_at = min(self._ask_at, self._asked_at + AGAIN_FIRST_S)
+            self._doubt({**self._unasked, **changed})
 
     async def end(self) -> None:
         """Ask no more on this connection."""
@@ -83,11 +105,17 @@ class UnitQuestions:
             asking.cancel()
             await asyncio.gather(asking, return_exceptions=True)
 
-    async def _ask(self, session: Session) -> None:
-        self._ask_at = time.monotonic() + self._again.next()
+    async def _ask(
+        self, session: Session, nodes: Collection[str], *, is_check: bool = False
+    ) -> None:
+        self._asked_at = time.monotonic()
+        self._check_at = self._asked_at + CHECK_S
+        if not is_check:
+            self._ask_at = self._asked_at + self._again.next()
         self._ends_connection = True
+        self._changed.clear()
         try:
-            found = await session.stated_units([*self._unasked, *self._without])
+            found = await session.stated_units(nodes)
         except SessionError as error:
             session.lose(str(error))
             return
@@ -95,9 +123,15 @@ class UnitQuestions:
             self._ends_connection = False
             raise
         self._ends_connection = False
-        self._answers += 1
-        none = [node for node, unit in found.units.items() if not unit]
-        self._without = none if self._answers < MOST_QUESTIONS else []
+        if is_check:  # no answer is no sign of another unit
+            found.unanswered.clear()
+        else:
+            self._answers += 1
+            none = [node for node, unit in found.units.items() if not unit]
+            self._without = none if self._answers < MOST_QUESTIONS else []
+        for node in self._changed:  # after it was asked, perhaps
+            found.units.pop(node, None)
+            found.unanswered[node] = self._unasked[node]
         self.take(found)
 
     def take(self, stated: StatedUnits) -> None:
@@ -107,8 +141,12 @@ class UnitQuestions:
             before = self._units.get(node, "")
             if before and not unit:  # the server may be about to start
                 unanswered[node] = f"none now, {before!r} before"
-            else:
-                self._units[node] = unit
+                continue
+            if before and before != unit:
+                logger.warning(
+                    "source %s: node %s: unit %r, %r before", self._source, node, unit, before
+                )
+            self._units[node] = unit
         if unanswered:
             logger.info(
                 "source %s: the server does not say the units of %d nodes: %s",
@@ -118,7 +156,7 @@ class UnitQuestions:
 
     def _doubt(self, unanswered: Mapping[str, str]) -> None:
         """Turn values by the units that are known, and doubt those whose unit is not."""
-        self._unasked = list(unanswered)
+        self._unasked = dict(unanswered)
         for point, given in zip(self._points, self._given, strict=True):
             factors, doubt = (given.scale, given.offset), ""
             before = point.config, point.doubt

@@ -222,6 +222,29 @@ async def test_a_unit_that_the_server_does_not_say_is_asked_for_again(
         assert record.driver.health().problems == {}
 
 
+async def test_a_unit_that_changes_while_the_driver_follows_is_found(
+    follow: Callable[..., Any],
+    peer: Callable[..., Any],
+    free_port: int,
+    origin: dt.datetime,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("adapters.drivers.opcua.unit_questions.CHECK_S", 0.2)
+    server = peer("opcua_server.py", free_port, origin.isoformat())
+    await asyncio.to_thread(server.start)
+    async with (
+        follow("t_kelvin_c") as record,
+        Client(f"opc.tcp://127.0.0.1:{free_port}/plc") as plc,
+    ):
+        await record.until(lambda: bool(record.of("t_kelvin_c")), 60.0)
+        assert record.of("t_kelvin_c")[-1].value == pytest.approx(23.0)
+        space = await plc.get_namespace_index("urn:example:plc")
+        (unit,) = await plc.get_node(ua.NodeId("t_kelvin_c", space)).get_properties()
+        await unit.write_value(ua.EUInformation(DisplayName=ua.LocalizedText("°C")))
+        await record.until(lambda: record.of("t_kelvin_c")[-1].value > 200.0, 60.0)
+        assert record.of("t_kelvin_c")[-1].value == pytest.approx(296.15)
+
+
 @pytest.mark.parametrize("begins", ["before the driver connects", "while the driver follows"])
 async def test_every_change_is_taken_though_the_source_time_stands_still(
     begins: str,

@@ -116,8 +116,8 @@ async def main(port: int, origin: dt.datetime, folder: Path | None) -> None:
         )
         place, title = ua.NodeId(f"{name}/eu", space), ua.QualifiedName("EngineeringUnits", 0)
         unit = await node.add_property(place, title, about)
+        await unit.set_writable()
         if name == "t_silent_c":
-            await unit.set_writable()
             failed = ua.DataValue(StatusCode=ua.StatusCode(ua.StatusCodes.BadInternalError))
             await server.write_attribute_value(unit.nodeid, failed)
     an_hour_ago = origin - dt.timedelta(hours=1)
