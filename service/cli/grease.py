@@ -8,6 +8,7 @@ import typer
 from service.cli.keys import command_line_actor
 from service.cli.known_assets import find_asset, no_such_asset
 from service.cli.serve import ConfigFile
+from service.domain.texts import EXPECTED, is_one_line
 from service.site.configuration import SettingsError
 from service.site.settings import load_settings
 
@@ -27,6 +28,8 @@ def grease_renewed(
     from service.clock import wall_us
     from service.store import AuditEntry, DataDirectoryInUseError, Store, lock_data_directory
 
+    if not is_one_line(comment):
+        raise SettingsError(f"--comment: {EXPECTED}")
     settings = load_settings(config)
     if find_asset(settings, asset) is None:
         raise no_such_asset(settings, asset)

@@ -13,6 +13,7 @@ from pydantic import (
 )
 
 from service.domain.channels import NODES, RING_SENSORS
+from service.domain.texts import OneLine
 from service.domain.times import Instant
 
 MAX_PROFILE_HOURS = 48
@@ -130,7 +131,7 @@ class GreaseRenewedRequest(RequestBody):
         json_schema_extra={"examples": [{"comment": "regreased, 18 g of the same grease"}]}
     )
 
-    comment: str | None = Field(None, max_length=500, description="For the journal.")
+    comment: OneLine | None = Field(None, max_length=500, description="For the journal.")
 
 
 class TimeWindow(RequestBody):

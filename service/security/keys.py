@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from service.clock import DAY_US, wall_us
 from service.domain.errors import BearingTwinError
 from service.domain.roles import ROLES, Role
+from service.domain.texts import is_one_line
 from service.security.loopback import is_loopback
 from service.site.configuration import SettingsError
 from service.store import ApiKey, AuditEntry, Store
@@ -21,8 +22,6 @@ _KEY = re.compile(r"bt_[0-9a-f]{8}_[A-Za-z0-9_-]{43}")
 _PREFIX_LENGTH = len("bt_00000000")
 _SECRET_BYTES = 32
 LABEL_LENGTH = 100
-#: No control characters.
-LABEL_PATTERN = r"^[^\x00-\x1f\x7f-\x9f]*$"
 
 
 class UnknownRoleError(BearingTwinError, ValueError):
@@ -92,8 +91,11 @@ def create_key(
         raise UnusableKeyError(
             f"expiry of {expires_in_days:g} days: expected more than 0, at most 36500"
         )
-    if len(label) > LABEL_LENGTH or not re.match(LABEL_PATTERN, label):
-        raise UnusableKeyError(f"label: expected at most {LABEL_LENGTH} characters on one line")
+    if len(label) > LABEL_LENGTH or not is_one_line(label):
+        raise UnusableKeyError(
+            f"label: expected at most {LABEL_LENGTH} characters on one line, and no control "
+            "characters"
+        )
     now_us = wall_us()
     expires_us = None
     if expires_in_days is not None:

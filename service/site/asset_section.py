@@ -26,6 +26,7 @@ from service.domain.channels import (
     STANDARD,
 )
 from service.domain.section import Section
+from service.domain.texts import EXPECTED, is_one_line
 from service.site.configuration import TomlTable
 from service.site.machines.bearings import BearingSection, bearing_table
 from service.site.machines.networks import BEARING_14, NetworkSection, network_table
@@ -227,3 +228,18 @@ class AssetSection(Section):
     def sensor_names(self) -> tuple[str, ...]:
         """The standard sensors of the asset's network."""
         return RING_SENSORS if self.network is None else tuple(self.network.sensors)
+
+    @property
+    def lines_in_names(self) -> list[str]:
+        """Say which names are no line of visible characters: one line each.
+
+        Who gives such a name is asked for another; what the store has already is followed as it is.
+        """
+        names = {"name": self.name, "group": self.group, "family": self.family}
+        if self.bearing is not None:
+            names["bearing.designation"] = self.bearing.designation
+        if self.network is not None:
+            names["network.name"] = self.network.name
+        return [
+            f"{key} = {text!r}: {EXPECTED}" for key, text in names.items() if not is_one_line(text)
+        ]

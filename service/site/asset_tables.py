@@ -17,7 +17,6 @@ from service.site.wiring import PUSH, Wiring, wire_assets
 _NETWORK: Final = "network"
 #: Assets that a line names.
 _NAMED: Final = 5
-_NAMES: Final = ("name", "group", "family")
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,8 +71,9 @@ def _check(
     given = table.get("id", asset_id)
     if given != asset_id:
         raise SettingsError(f"{asset_id}.id = {given!r}: expected {asset_id!r} or none")
-    _check_json(asset_id, table)
-    return of_section(settings, settings.asset({"id": asset_id} | table, asset_id))
+    section = settings.asset({"id": asset_id} | table, asset_id)
+    _check_json(section, table)
+    return of_section(settings, section)
 
 
 def misfits(
@@ -100,18 +100,6 @@ def key_line(asset_id: str, line: str) -> str:
         if line.startswith(begin):
             return line.removeprefix(begin)
     return line
-
-
-def lines_in_names(table: TomlTable) -> list[str]:
-    """Say which names of an asset are more than one line of text, one line each.
-
-    Whoever gives a name is asked for another; what is kept already is followed as it is.
-    """
-    return [
-        f"{key} = {table[key]!r}: expected one line of text, without control characters"
-        for key in _NAMES
-        if isinstance(table.get(key), str) and not table[key].isprintable()
-    ]
 
 
 def outside_network(settings: Settings, table: TomlTable) -> str | None:
@@ -142,16 +130,19 @@ def wire_sources(asset: AssetSection) -> set[str]:
     return {str(table.get("source")) for table in tables} - {PUSH}
 
 
-def _check_json(asset_id: str, table: TomlTable) -> None:
+def _check_json(section: AssetSection, table: TomlTable) -> None:
     """Refuse what JSON, or a text of PostgreSQL, cannot hold."""
+    wrong = ""
     try:
         text = json.dumps(table, ensure_ascii=False, allow_nan=False).encode()
     except ValueError as error:
-        raise SettingsError(
-            f"{asset_id}: {error}; expected finite numbers and texts of Unicode characters"
-        ) from error
-    if rb"\u0000" in text:
-        raise SettingsError(f"{asset_id}: expected texts without the character NUL")
+        wrong = f"{error}; expected finite numbers and texts of Unicode characters"
+    else:
+        if rb"\u0000" in text:
+            wrong = "expected texts without the character NUL"
+    if wrong:
+        names = [f"{section.id}.{line}" for line in section.lines_in_names]
+        raise SettingsError(*(names or [f"{section.id}: {wrong}"]))
 
 
 def _with_its_sources(settings: Settings, asset: AssetSection) -> Settings:

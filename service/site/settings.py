@@ -27,6 +27,7 @@ from pydantic_settings import (
 
 from adapters.configuration import first_repeated
 from service.domain.section import Section
+from service.domain.texts import EXPECTED, is_one_line
 from service.feature_folders import modules
 from service.site.asset_section import AssetSection
 from service.site.configuration import SettingsError, TomlTable, describe_all, read_toml
@@ -249,6 +250,20 @@ class CoreSettings(BaseSettings):
             twice = first_repeated(names)
             if twice is not None:
                 raise ValueError(f"{what}: the name {twice!r} is used twice; expected unique")
+        return self
+
+    @model_validator(mode="after")
+    def _names_are_lines(self) -> Self:
+        names = [
+            (f"{key}[{number}].name", str(one.get("name")))
+            for key, tables in (("sources", self.sources), ("templates", self.templates))
+            for number, one in enumerate(tables)
+        ]
+        lines = [f"{key} = {name!r}: {EXPECTED}" for key, name in names if not is_one_line(name)]
+        for number, asset in enumerate(self.assets):
+            lines += (f"assets[{number}].{line}" for line in asset.lines_in_names)
+        if lines:
+            raise SettingsError(*lines)
         return self
 
     @model_validator(mode="after")

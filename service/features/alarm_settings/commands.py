@@ -11,6 +11,7 @@ from service.cli.file_names import is_csv
 from service.cli.keys import command_line_actor
 from service.cli.serve import ConfigFile
 from service.clock import wall_us
+from service.domain.texts import EXPECTED, is_one_line
 from service.features.alarm_settings.health import stored_assets
 from service.site.configuration import SettingsError
 from service.site.settings import load_settings
@@ -102,6 +103,8 @@ def import_(
     comment = (comment or said).strip()
     if not comment and not dry_run:
         raise SettingsError("--comment: missing; expected why the settings change")
+    if not is_one_line(comment):
+        raise SettingsError(f"--comment: {EXPECTED}")
     with Store.open(settings.service.database_url, settings.data_dir) as store:
         revision = store.alarm_overlays.revision()
         overlays = store.alarm_overlays.present()

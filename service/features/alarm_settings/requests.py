@@ -4,6 +4,7 @@ from pydantic import ConfigDict, Field
 from pydantic.config import JsonDict
 
 from service.domain.requests import RequestBody
+from service.domain.texts import OneLine
 
 
 class AlarmSettingFields(RequestBody):
@@ -21,17 +22,17 @@ class AlarmSettingFields(RequestBody):
     latched: bool | None = None
     re_alarm_s: float | None = Field(None, description="0: never.")
     enabled: bool | None = None
-    alarm_class: str | None = Field(None, alias="class", max_length=1000)
-    probable_causes: str | None = Field(None, max_length=1000)
-    consequence_of_inaction: str | None = Field(None, max_length=1000)
-    operator_action: str | None = Field(None, max_length=1000)
+    alarm_class: OneLine | None = Field(None, alias="class", max_length=1000)
+    probable_causes: OneLine | None = Field(None, max_length=1000)
+    consequence_of_inaction: OneLine | None = Field(None, max_length=1000)
+    operator_action: OneLine | None = Field(None, max_length=1000)
     allowable_response_time_s: float | None = None
-    severity_of_consequence: str | None = Field(None, max_length=1000)
-    identification_method: str | None = Field(None, max_length=1000)
+    severity_of_consequence: OneLine | None = Field(None, max_length=1000)
+    identification_method: OneLine | None = Field(None, max_length=1000)
     status: str | None = Field(None, description="default, proposed or approved.")
-    rationalised_by: str | None = Field(None, max_length=1000)
+    rationalised_by: OneLine | None = Field(None, max_length=1000)
     rationalised_at: str | None = Field(None, description="Date.", examples=["2026-11-23"])
-    remarks: str | None = Field(None, max_length=1000)
+    remarks: OneLine | None = Field(None, max_length=1000)
 
 
 _AN_ALARM: JsonDict = {
@@ -50,7 +51,7 @@ class AlarmSettingPatch(AlarmSettingFields):
         json_schema_extra={"examples": [_AN_ALARM | {"comment": "as the maker of the grease says"}]}
     )
 
-    comment: str = Field(min_length=1, max_length=500, description="Why.")
+    comment: OneLine = Field(min_length=1, max_length=500, description="Why.")
 
 
 class AlarmSettingsToImport(RequestBody):
@@ -63,4 +64,4 @@ class AlarmSettingsToImport(RequestBody):
     )
 
     rows: list[AlarmSettingFields]
-    comment: str = Field("", max_length=500, description="Why; may be a parameter too.")
+    comment: OneLine = Field("", max_length=500, description="Why; may be a parameter too.")

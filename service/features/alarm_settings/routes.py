@@ -15,6 +15,7 @@ from service.documents.problems import FieldError
 from service.documents.tags import Tag
 from service.domain.errors import CellUnavailableError
 from service.domain.roles import ENGINEER, VIEWER
+from service.domain.texts import OneLine
 from service.domain.upload_limits import CELLS_MAX, JUDGING_S, UploadTooLargeError
 from service.features.alarm_settings.documents import (
     AlarmSettingHistory,
@@ -71,7 +72,7 @@ UPLOADS = (Upload("/alarm-settings/import", 8192 * KIB, (CSV,)),)
 
 OfAsset = Annotated[str | None, Query(max_length=200, description="Only of this asset.")]
 Comment = Annotated[
-    str | None, Query(max_length=500, description="Why; of CSV, which has no place for it.")
+    OneLine | None, Query(max_length=500, description="Why; of CSV, which has no place for it.")
 ]
 DryRun = Annotated[bool, Query(description="Say what would change, and write nothing.")]
 

@@ -1,7 +1,6 @@
 """Changes of alarm settings: judged all together, before anything is written."""
 
 import math
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import date
@@ -13,6 +12,7 @@ from adapters.configuration import listed, suggestion
 from service.alarm_kinds import KINDS
 from service.domain.alarm_guidance import AlarmName, PossibleAlarm
 from service.domain.alarm_kind import LevelRule
+from service.domain.texts import EXPECTED, is_one_line
 from service.domain.upload_limits import in_time
 from service.site.alarm_overlay import (
     FIELDS,
@@ -36,7 +36,6 @@ _NUMBERS = ("setpoint", "deadband", "on_delay_s", "off_delay_s", "re_alarm_s")
 _NO_ACTION = ("monitor", "watch", "none", "note", "observe")
 _YES, _NO = ("yes", "true", "1", "on"), ("no", "false", "0", "off")
 _LONGEST_RESPONSE_S = 30 * 86_400.0
-_CONTROL = re.compile("[\x00-\x1f\x7f\ud800-\udfff\u2028\u2029]")
 
 
 @dataclass(frozen=True, slots=True)
@@ -293,8 +292,8 @@ def _text(key: str, given: object) -> str:
     text = given.strip()
     if len(text) > TEXT_MAX:
         raise ValueError(f"{len(text)} characters; expected at most {TEXT_MAX}")
-    if _CONTROL.search(text):
-        raise ValueError("expected one line of text, without control characters")
+    if not is_one_line(text):
+        raise ValueError(EXPECTED)
     if text.startswith("'"):
         raise ValueError("expected no apostrophe at the beginning: a spreadsheet hides it")
     if key == "operator_action" and text.lower().rstrip(".") in _NO_ACTION:

@@ -10,7 +10,8 @@ from adapters.configuration import first_repeated, listed
 from adapters.tables import RowError, TableFileError, csv_table, has_decimal_comma
 from service.domain.alarm_guidance import AlarmName
 from service.domain.errors import BearingTwinError
-from service.domain.json_bodies import parse_json
+from service.domain.json_values import read_json_text
+from service.domain.texts import EXPECTED, is_one_line
 from service.domain.upload_limits import COLUMNS_MAX, too_large
 from service.features.alarm_settings.settings_changes import Mistake, WantedRow
 from service.site.alarm_overlay import FIELDS, AlarmEntry
@@ -160,7 +161,7 @@ def read_json(content: bytes) -> tuple[list[WantedRow], list[Mistake], str]:
     `AlarmSheetError` if it is not such a document.
     """
     try:
-        document = parse_json(content)
+        document = read_json_text(content)
     except ValueError as error:
         raise AlarmSheetError(f"not valid JSON: {error}") from error
     if not isinstance(document, dict) or not isinstance(document.get(_ROWS), list):
@@ -169,8 +170,8 @@ def read_json(content: bytes) -> tuple[list[WantedRow], list[Mistake], str]:
     if others:
         raise AlarmSheetError(f"{others[0]}: unknown key; expected {_ROWS!r} and {_COMMENT!r}")
     comment = document.get(_COMMENT, "")
-    if not isinstance(comment, str) or "\x00" in comment:
-        raise AlarmSheetError(f"{_COMMENT}: expected a text")
+    if not isinstance(comment, str) or not is_one_line(comment):
+        raise AlarmSheetError(f"{_COMMENT}: {EXPECTED}")
     rows: list[WantedRow] = []
     mistakes: list[Mistake] = []
     for place, cells in enumerate(document[_ROWS], 1):

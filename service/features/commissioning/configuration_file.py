@@ -9,7 +9,6 @@ from service.features.commissioning.edited_file import with_tables
 from service.features.commissioning.file_versions import read_file, revision_of
 from service.features.commissioning.requests import ConfigurationChange, SourceTable
 from service.files import why_not_written
-from service.site.asset_tables import lines_in_names
 from service.site.configuration import SettingsError, TomlTable
 from service.site.page_sources import outside_folder, source_from_page
 from service.web.api.context import ServiceContext
@@ -37,7 +36,6 @@ def changed_text(context: ServiceContext, body: ConfigurationChange) -> tuple[Pa
         why = outside_folder(given)
         if why is not None and given != networks.get(asset.root.get("id")):
             lines.append(f"assets[{number}].network = {given!r}: {why}")
-        lines += (f"assets[{number}].{line}" for line in lines_in_names(asset.root))
     if lines:
         raise Problem(422, lines[0], errors=[line_error(one) for one in lines])
     sources = [one.root for one in body.sources]

@@ -16,6 +16,7 @@ from service.alarms.records import assets_of, shortened
 from service.alarms.states import UNACKNOWLEDGED_STATES
 from service.clock import MICROSECONDS, rfc3339, wall_us
 from service.documents.alarms import alarm_document
+from service.domain.texts import visible
 from service.features.notifications.documents import NotificationEvent, NotificationMessage
 from service.features.notifications.rules import ESCALATED, RETURNED, kind_of
 from service.features.notifications.tables import Notification
@@ -111,7 +112,7 @@ class OutgoingMessage:
             machines = len({one for item in self.items for one in assets_of(item.alarm)})
             on = "1 machine" if machines == 1 else f"{machines} machines"
             text = f"{len(self.items)} alarms on {on}; {text}"
-        line = " ".join(f"Bearing Twin: {text}".split())
+        line = " ".join(visible(f"Bearing Twin: {text}").split())
         return line if len(line) <= _SUBJECT_MAX else line[: _SUBJECT_MAX - 1] + "…"
 
     def _text(self) -> str:
@@ -153,7 +154,7 @@ class OutgoingMessage:
             lines.append(f"  acknowledged by {alarm.acknowledged_by}")
         elif alarm.state in UNACKNOWLEDGED_STATES:
             lines.append("  nobody has acknowledged it")
-        return "\n".join(lines) + "\n"
+        return "\n".join(map(visible, lines)) + "\n"
 
 
 def signature_headers(message_id: str, body: bytes, key: bytes | None) -> Mapping[str, str]:

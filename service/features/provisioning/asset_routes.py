@@ -26,7 +26,6 @@ from service.site.asset_tables import (
     AssetInFileError,
     check_asset,
     key_line,
-    lines_in_names,
     outside_network,
 )
 from service.site.configuration import SettingsError, TomlTable
@@ -261,16 +260,16 @@ def _check(
     context: ServiceContext, asset_id: str, table: TomlTable, before: ProvisionedAsset | None
 ) -> None:
     line = network_line(context.settings, table, None if before is None else before.table)
-    lines = lines_in_names(table) if line is None else [line]
-    if lines:
-        raise Problem(422, first_of(lines), errors=[line_error(one) for one in lines])
+    if line is not None:
+        raise Problem(422, line, errors=[line_error(line)])
     try:
-        check_asset(context.settings, asset_id, table)
+        lines = check_asset(context.settings, asset_id, table).section.lines_in_names
     except AssetInFileError as error:
         raise _in_file(asset_id) from error
     except SettingsError as error:
         lines = [key_line(asset_id, line) for line in error.lines]
-        raise Problem(422, first_of(lines), errors=[line_error(one) for one in lines]) from error
+    if lines:
+        raise Problem(422, first_of(lines), errors=[line_error(one) for one in lines])
 
 
 def network_line(settings: Settings, table: TomlTable, before: TomlTable | None) -> str | None:

@@ -11,9 +11,9 @@ from typing import Any, Final
 from adapters.configuration import first_repeated, listed
 from adapters.tables import RowError, TableFileError, csv_table
 from service.domain.errors import BearingTwinError
-from service.domain.json_bodies import parse_json
+from service.domain.json_values import read_json_text
 from service.domain.upload_limits import COLUMNS_MAX, too_large
-from service.site.asset_tables import check_assets, key_line, lines_in_names
+from service.site.asset_tables import check_assets, key_line
 from service.site.configuration import SettingsError, TomlTable
 from service.site.settings import Settings
 from service.site.templates import VALUES
@@ -116,12 +116,14 @@ def judge_list(
     ``seconds``: of processor time that the check may take; None: any. Raises `UploadTooLargeError`
     if it takes longer.
     """
-    names = {name: lines_in_names(one.table) for name, one in rows.assets.items()}
-    tables = {name: one.table for name, one in rows.assets.items() if not names[name]}
+    tables = {name: one.table for name, one in rows.assets.items()}
     right, errors = check_assets(settings, tables, seconds)
     wrong = list(rows.wrong)
-    more = {name: tuple(lines) for name, lines in names.items() if lines}
-    for name, lines in (errors | more).items():
+    for name, checked in list(right.items()):
+        if lines_in_names := checked.section.lines_in_names:
+            errors[name] = tuple(lines_in_names)
+            del right[name]
+    for name, lines in errors.items():
         one = rows.assets[name]
         wrong.append(WrongRow(one.entry, one.row, name, tuple(key_line(name, x) for x in lines)))
     created = {name: tables[name] for name in right if name not in present}
@@ -212,7 +214,7 @@ def read_json(content: bytes) -> AssetRows:
     Raises `AssetListError` if it is not such a document.
     """
     try:
-        document = parse_json(content)
+        document = read_json_text(content)
     except ValueError as error:
         raise AssetListError(f"not valid JSON: {error}") from error
     if not isinstance(document, dict) or not isinstance(document.get("assets"), list):

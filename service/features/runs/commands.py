@@ -12,6 +12,7 @@ import typer
 from service.cli.known_assets import find_asset, no_such_asset
 from service.cli.serve import ConfigFile
 from service.clock import ProcessClock
+from service.domain.texts import visible
 from service.files import replacing
 from service.site.configuration import SettingsError
 from service.site.settings import Settings, load_settings
@@ -52,7 +53,7 @@ def runs(
         return
     for one in documents:
         length = "goes on" if one.duration_s is None else f"{one.duration_s / 3600:.1f} h"
-        name = "".join(char if char.isprintable() else " " for char in one.name or "")
+        name = visible(one.name or "")
         typer.echo(f"{one.id:<20}{one.start[:16]}Z  {length:>9}  {one.ended or '':<10}  {name}")
     if not documents:
         typer.echo(f"{asset}: no run is stored.")

@@ -14,6 +14,7 @@ from service.domain.daily_hours import TimeZone
 from service.domain.errors import RequestRefusedError
 from service.domain.requests import RequestBody
 from service.domain.roles import OPERATOR, VIEWER
+from service.domain.texts import OneLine
 from service.domain.times import Instant
 from service.features.runs import questions
 from service.features.runs.documents import (
@@ -49,14 +50,8 @@ _BINARY: Final = {"schema": {"type": "string", "format": "binary"}}
 router = APIRouter(prefix="/assets/{asset_id}/runs", tags=["runs"])
 
 
-def _printable(text: str) -> str:
-    if not text.isprintable():
-        raise ValueError("expected one line without control characters")
-    return text.strip()
-
-
 def _said(text: str) -> str:
-    if not (text := _printable(text)):
+    if not (text := text.strip()):
         raise ValueError("expected some words")
     return text
 
@@ -66,7 +61,7 @@ class RunChange(RequestBody):
 
     model_config = ConfigDict(json_schema_extra={"examples": [{"name": "run-in, new grease"}]})
 
-    name: Annotated[str, Field(max_length=100), AfterValidator(_printable)] = Field(
+    name: Annotated[OneLine, Field(max_length=100), AfterValidator(str.strip)] = Field(
         description="One line; empty: no name.", examples=["run-in, new grease"]
     )
 
@@ -81,7 +76,7 @@ class AnnotationRequest(RequestBody):
     )
 
     time: Instant = Field(description="Process time, within the run.")
-    text: Annotated[str, Field(min_length=1, max_length=500), AfterValidator(_said)] = Field(
+    text: Annotated[OneLine, Field(min_length=1, max_length=500), AfterValidator(_said)] = Field(
         description="One line.", examples=["noise at the outer ring"]
     )
 

@@ -15,6 +15,7 @@ from service.domain.daily_hours import DailyHours
 from service.domain.errors import RequestRefusedError
 from service.domain.requests import RequestBody
 from service.domain.roles import ENGINEER, OPERATOR, VIEWER
+from service.domain.texts import OneLine
 from service.domain.times import Instant
 from service.features.silences.documents import (
     EndedSilences,
@@ -74,7 +75,7 @@ class SilenceRequest(RequestBody):
     begins_at: Instant | None = Field(None, description="Process time; absent: now.")
     ends_at: Instant = Field(description=f"Process time, at most {_LONGEST_DAYS} days from now.")
     weekly: WeeklyRequest | None = Field(None, description="Only in these hours.")
-    comment: Annotated[str, Field(min_length=1, max_length=500, description="Why.")]
+    comment: Annotated[OneLine, Field(min_length=1, max_length=500, description="Why.")]
 
 
 class EndRequest(RequestBody):

@@ -6,13 +6,16 @@ from pydantic import ConfigDict, Field
 
 from service.alarms import LONGEST_SHELVING_S
 from service.domain.requests import RequestBody
+from service.domain.texts import OneLine
 
 MOST_AT_ONCE = 500
 _COMMENT = "load is being reduced"
 
-Comment = Annotated[str, Field(max_length=500, description="For the journal.", examples=[_COMMENT])]
+Comment = Annotated[
+    OneLine, Field(max_length=500, description="For the journal.", examples=[_COMMENT])
+]
 MandatoryComment = Annotated[
-    str,
+    OneLine,
     Field(min_length=1, max_length=500, description="For the journal.", examples=[_COMMENT]),
 ]
 

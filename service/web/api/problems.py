@@ -28,6 +28,7 @@ from service.domain.errors import (
     RequestRefusedError,
     RoleRefusedError,
 )
+from service.domain.texts import EXPECTED, ONE_LINE
 from service.store import StoreUnavailableError
 from service.web.shares import BusyError
 
@@ -221,6 +222,8 @@ def _answer(request: Request, problem: Problem) -> Response:
 def _field_error(error: ErrorDetails, body: Any) -> FieldError:
     location = tuple(error["loc"])
     message = str(error["msg"]).removeprefix("Value error, ")
+    if error.get("ctx", {}).get("pattern") == ONE_LINE:
+        message = EXPECTED
     if error["type"] == "json_invalid":
         reason = error.get("ctx", {}).get("error", "")
         detail = f"not valid JSON at character {location[-1]}: {reason}"

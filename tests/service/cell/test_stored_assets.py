@@ -199,3 +199,13 @@ async def test_where_nothing_was_kept_no_asset_is_followed_and_it_says_so(
     )
     assert not in_file.stored_assets.follows_nothing
     in_file.store.close()
+
+
+def test_a_name_of_control_characters_that_was_stored_before_is_followed(tmp_path: Path) -> None:
+    hall = Hall(tmp_path)
+    hall.change(axle=AXLE | {"name": "a\x1b[31m\u202eb"})
+    hall.store.close()
+    hall = Hall(tmp_path)
+    assert hall.followed == {"axle": "a\x1b[31m\u202eb"}
+    assert hall.stored_assets.problem is None
+    hall.store.close()

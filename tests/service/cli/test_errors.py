@@ -231,3 +231,13 @@ def test_an_opcua_endpoint_in_use_is_named(waiting: dict[str, Waiting]) -> None:
     line = waiting["opcua"].postponed()
     endpoint = f"opc.tcp://127.0.0.1:{waiting['opcua'].taken}/bearing-twin"
     assert f"opcua.endpoint = '{endpoint}': cannot listen there (Address already in use)" in line
+
+
+@pytest.mark.parametrize("command", [("grease-renewed", "bench-1"), ("alarms", "import", "x.json")])
+def test_a_comment_that_is_no_line_is_refused(
+    refused: Callable[..., str], tmp_path: Path, command: tuple[str, ...]
+) -> None:
+    (tmp_path / "x.json").write_text('{"rows": []}')
+    said = refused(*command, "--comment", "a\x1b[31m")
+    expected = "expected one line of text, without control characters"
+    assert said == f"bearing-twin: --comment: {expected}"

@@ -30,8 +30,11 @@ def test_a_terminal_of_few_characters_shows_what_it_can(tmp_path: Path, encoding
     assert b"fstand ?" in listed.stdout
 
 
-@pytest.mark.parametrize("label", ["a\nb", "x" * 101, "\x1b[31m"])
+@pytest.mark.parametrize("label", ["a\nb", "a\n", "x" * 101, "\x1b[31m", "a\u202eb", "\udc9b"])
 def test_a_label_that_is_no_line_is_refused_in_one(tmp_path: Path, label: str) -> None:
     refused = run(tmp_path, "keys", "create", "--role", "viewer", "--label", label)
-    expected = b"bearing-twin: label: expected at most 100 characters on one line\n"
+    expected = (
+        b"bearing-twin: label: expected at most 100 characters on one line, and no control "
+        b"characters\n"
+    )
     assert (refused.returncode, refused.stderr) == (2, expected)

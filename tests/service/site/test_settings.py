@@ -305,3 +305,21 @@ def test_a_fleet_keeps_everything_in_its_database() -> None:
         Settings(fleet=FLEET, clock={"rate": 2.0})
     with pytest.raises(ValidationError, match="expected one of them"):
         Settings(fleet=FLEET, service={"database_url": "postgresql://other/db"})
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('id = "bench-1"', 'id = "bench-1"\nname = "a\\u001Bb"', r"assets[0].name = 'a\x1bb'"),
+        ('id = "bench-1"', 'id = "bench-1"\ngroup = "a\\u202Eb"', r"assets[0].group = 'a\u202eb'"),
+        ('id = "bench-1"', 'id = "bench-1"\nfamily = "a\\nb"', r"assets[0].family = 'a\nb'"),
+        ('name = "pt100"', 'name = "pt\\u200B100"', r"sources[0].name = 'pt\u200b100'"),
+    ],
+)
+def test_a_name_is_one_line_of_visible_characters(
+    folder: Path, old: str, new: str, said: str
+) -> None:
+    with pytest.raises(SettingsError) as caught:
+        load(folder, CONFIGURATION.replace(old, new))
+    expected = "expected one line of text, without control characters"
+    assert str(caught.value) == f"{folder / 'twin.toml'}: {said}: {expected}"

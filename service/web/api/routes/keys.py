@@ -11,9 +11,9 @@ from starlette.responses import Response
 from service.documents.access import KeyDocument, KeyList, NewKeyDocument
 from service.domain.requests import RequestBody
 from service.domain.roles import ADMIN, Role
+from service.domain.texts import OneLine
 from service.security.keys import (
     LABEL_LENGTH,
-    LABEL_PATTERN,
     UnknownKeyError,
     create_key,
     list_keys,
@@ -40,9 +40,7 @@ class KeyRequest(RequestBody):
     expires_in_days: float | None = Field(
         None, gt=0, le=36_500, description="Absent: valid until it is revoked."
     )
-    label: str = Field(
-        "", max_length=LABEL_LENGTH, pattern=LABEL_PATTERN, description="For people."
-    )
+    label: OneLine = Field("", max_length=LABEL_LENGTH, description="For people.")
 
 
 @router.get("", response_model=KeyList, summary="List API keys", **secured(ADMIN))

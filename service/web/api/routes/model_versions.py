@@ -18,6 +18,7 @@ from service.documents.models import (
 )
 from service.domain.requests import RequestBody
 from service.domain.roles import ENGINEER
+from service.domain.texts import OneLine
 from service.web.api.access import secured
 from service.web.api.cursors import LIMIT, Cursor, Limit, next_link, page_of
 from service.web.api.deps import Asset, Context, Recorded, RecordedAsset, json_response
@@ -36,7 +37,7 @@ class ActivationRequest(RequestBody):
         json_schema_extra={"examples": [{"comment": "back to the version before the new grease"}]},
     )
 
-    comment: str | None = Field(None, max_length=500, description="For the journal.")
+    comment: OneLine | None = Field(None, max_length=500, description="For the journal.")
     force: bool = Field(False, description="Activate a rejected version; needs a comment.")
 
 

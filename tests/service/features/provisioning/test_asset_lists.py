@@ -222,7 +222,7 @@ def test_no_cell_of_a_list_is_run_by_a_spreadsheet() -> None:
 
 
 @pytest.mark.parametrize("key", ["name", "group", "family"])
-@pytest.mark.parametrize("break_", ["\n", "\r", "\u2028", "\x1b", "\t"])
+@pytest.mark.parametrize("break_", ["\n", "\r", "\u2028", "\x1b", "\t", "\u202e", "\ufeff"])
 def test_a_name_is_one_line(settings: Settings, key: str, break_: str) -> None:
     listed = {"id": "axle-1", "template": "axle", "values": {"unit": 11}, key: f"two{break_}lines"}
     judged = judge_list(settings, read_json(json.dumps({"assets": [listed]}).encode()), {})
@@ -231,3 +231,27 @@ def test_a_name_is_one_line(settings: Settings, key: str, break_: str) -> None:
         f"{key} = {listed[key]!r}: expected one line of text, without control characters",
     )
     assert not judged.changes
+
+
+def test_a_name_of_the_values_of_a_template_is_one_line(tmp_path: Path) -> None:
+    file = tmp_path / "site.toml"
+    values = 'values = { hall = "A", gateway'
+    file.write_text(SITE.replace("values = { gateway", f'group = "{{hall}}"\n{values}'))
+    listed = {"id": "axle-1", "template": "axle", "values": {"unit": 1, "hall": "a\x1b"}}
+    content = json.dumps({"assets": [listed]}).encode()
+    judged = judge_list(load_settings(file), read_json(content), {})
+    (row,) = judged.wrong
+    expected = "expected one line of text, without control characters"
+    assert row.lines == (f"group = 'a\\x1b': {expected}",)
+
+
+@pytest.mark.parametrize("key", ["id", "name"])
+def test_half_of_a_surrogate_pair_is_refused(key: str) -> None:
+    with pytest.raises(AssetListError, match="not valid JSON"):
+        read_json(json.dumps({"assets": [{"id": "axle-1", key: "\ud800"}]}).encode())
+
+
+def test_json_may_be_in_any_encoding_of_unicode() -> None:
+    text = json.dumps({"assets": [{"id": "axle-1", "name": "Prüfstand"}]}, ensure_ascii=False)
+    for encoding in ("utf-8", "utf-8-sig", "utf-16"):
+        assert tables(read_json(text.encode(encoding))) == {"axle-1": {"name": "Prüfstand"}}

@@ -25,6 +25,30 @@ from .provisioned import (
 )
 
 
+@pytest.mark.parametrize("char", ["\n", "\x1b", "\u202e"])
+async def test_a_name_is_one_line_of_visible_characters(world: Any, cell: Cell, char: str) -> None:
+    admin = world.client("admin")
+    answer = await admin.put(f"{ASSETS}/axle-1", json=AXLE | {"name": f"a{char}b"})
+    assert answer.status_code == 422
+    expected = "expected one line of text, without control characters"
+    assert answer.json()["detail"] == f"name = {f'a{char}b'!r}: {expected}"
+    # What was stored before is served, and can get another name.
+    world.store.assets.change({"axle-1": AXLE | {"name": f"a{char}b"}}, 1)
+    read = await world.client("engineer").get(f"{ASSETS}/axle-1/configuration")
+    assert read.json()["table"]["name"] == f"a{char}b"
+    assert (await admin.put(f"{ASSETS}/axle-1", json=AXLE | {"name": "ab"})).status_code == 200
+
+
+async def test_half_of_a_surrogate_pair_as_an_id_is_answered(world: Any, cell: Cell) -> None:
+    answer = await world.client("admin").post(
+        IMPORT,
+        content=b'{"assets": [{"id": "\\ud800"}]}',
+        headers={"Content-Type": "application/json"},
+    )
+    assert answer.status_code == 422
+    assert "not valid JSON" in answer.json()["detail"]
+
+
 async def test_an_asset_is_made_changed_and_removed(world: Any, cell: Cell) -> None:
     admin = world.client("admin")
     made = await admin.put(f"{ASSETS}/axle-1", json=AXLE)
@@ -109,7 +133,8 @@ async def test_one_that_came_into_the_file_later_can_be_removed(world: Any, cell
         (AXLE | {"channels": {"load_n": {"source": "drive"}}}, ["/channels/load_n/source"]),
         ({}, ["/low_risk", "/channels", "/bearing"]),
         (AXLE | {"name": "a\0b"}, ["/name"]),
-        (AXLE | {"colour": "a\0b"}, [""]),
+        (AXLE | {"colour": "a\0b"}, ["/colour"]),
+        (AXLE | {"channels": {"load_n": {"source": "a\0b"}}}, [""]),
     ],
 )
 async def test_every_wrong_key_is_named(

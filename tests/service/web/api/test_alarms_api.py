@@ -6,6 +6,8 @@ import json
 import sqlite3
 from typing import Any
 
+import pytest
+
 from service.alarms import AlarmCondition
 from service.clock import rfc3339
 from service.documents.alarms import (
@@ -256,6 +258,26 @@ async def test_statistics_count_what_called_for_an_operator(world: Any) -> None:
     assert statistics.stale_over_24h == 0
     calm = (await world.client("viewer").get(f"{ALARMS}/statistics?asset=rig-2")).json()
     assert (calm["last_10_min"], calm["flood"], calm["most_frequent"]) == (0, False, [])
+
+
+@pytest.mark.parametrize("char", ["\x1b", "\n", "\u2028", "\u202e"])
+async def test_a_comment_is_one_line_of_visible_characters(world: Any, char: str) -> None:
+    alarm = world.raise_alarm()
+    client = world.client("operator")
+    said = {"comment": f"a{char}b"}
+    for action, body in (
+        (f"{alarm}/comment", said),
+        (f"{alarm}/acknowledge", said),
+        (f"{alarm}/shelve", said | {"duration_s": 60}),
+        ("acknowledge", said | {"ids": [alarm]}),
+    ):
+        answer = await client.post(f"{ALARMS}/{action}", json=body)
+        assert answer.status_code == 422, answer.text
+        (error,) = answer.json()["errors"]
+        assert error["pointer"] == "/comment"
+        assert error["detail"] == (
+            f"expected one line of text, without control characters (got {f'a{char}b'!r})"
+        )
 
 
 async def test_no_comment_is_a_formula_in_the_journals_csv(world: Any) -> None:

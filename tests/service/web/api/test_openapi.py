@@ -10,6 +10,7 @@ import jsonschema_rs
 import pytest
 
 from service.documents.messages import MessageType
+from service.domain.texts import ONE_LINE
 from service.web.api.app import descriptions
 
 JSON = "application/json"
@@ -162,3 +163,38 @@ def _examples(description: dict[str, Any], schema: dict[str, Any]) -> list[Any]:
             examples: list[Any] = model.get("examples", [])
             return examples
     return []
+
+
+#: What callers write for people, wherever it stands in a body.
+_WORDS = {
+    *("comment", "label", "name", "text", "remarks", "class", "operator_action", "rationalised_by"),
+    *("probable_causes", "consequence_of_inaction", "severity_of_consequence"),
+    "identification_method",
+}
+#: A file, and its name with a pattern of its own.
+_FILES = {"DbcUpload"}
+
+
+async def test_a_text_for_people_is_one_line_in_every_body(description: dict[str, Any]) -> None:
+    schemas = description["components"]["schemas"]
+    waiting = [
+        schema
+        for _, operation in operations(description)
+        for content in operation.get("requestBody", {}).get("content", {}).values()
+        for schema in [content["schema"]]
+    ]
+    seen: set[str] = set()
+    found = 0
+    while waiting:
+        schema = waiting.pop()
+        name = schema.get("$ref", "").rpartition("/")[2]
+        if name and name not in seen | _FILES:
+            seen.add(name)
+            waiting.append(schemas[name])
+        for key, part in schema.get("properties", {}).items():
+            texts = [one for one in (part, *part.get("anyOf", ())) if one.get("type") == "string"]
+            if key in _WORDS:
+                found += len(texts)
+                assert all(one["pattern"] == ONE_LINE for one in texts), (schema["title"], key)
+            waiting += [part, *part.get("anyOf", ()), part.get("items", {})]
+    assert found >= 15
