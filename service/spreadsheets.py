@@ -5,24 +5,32 @@ from functools import lru_cache
 
 from adapters.tables import NUMBER
 
-#: What a spreadsheet evaluates, or takes away before it looks.
-_FORMULA = re.compile("[=+@\\-\t\r\n\uff1d\uff0b\uff0d\uff20]")
+#: What a spreadsheet evaluates, perhaps behind what it removes or does not show.
+_FORMULA = re.compile('[ "\u00a0\u200b\ufeff]*[=+@\\-\uff1d\uff0b\uff0d\uff20]')
+#: Where a spreadsheet of another language cuts a line: a quotation mark within it means nothing.
+_CUTS = re.compile("([;\t\r\n])")
 _NEEDS_QUOTES = re.compile('[",\r\n]')
 
 
 def text_cell(text: str) -> str:
     """Give a text that a spreadsheet takes for a text: an apostrophe before what it would evaluate.
 
-    Numbers stay as they are.
+    Also after each semicolon, tab and end of line. Numbers stay as they are.
     """
-    if _FORMULA.match(text) and not NUMBER.fullmatch(text):
-        return f"'{text}"
-    return text
+    return "".join(map(_part, _CUTS.split(text)))
+
+
+def _part(text: str) -> str:
+    is_formula = _FORMULA.match(text) and not NUMBER.fullmatch(text.strip(" "))
+    return f"'{text}" if is_formula else text
 
 
 def text_of(cell: str) -> str:
     """Give the text of which `text_cell` made a cell."""
-    return cell[1:] if cell.startswith("'") and text_cell(cell[1:]) == cell else cell
+    return "".join(
+        part[1:] if part.startswith("'") and _part(part[1:]) == part else part
+        for part in _CUTS.split(cell)
+    )
 
 
 def cell(value: object) -> object:

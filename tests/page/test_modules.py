@@ -18,6 +18,7 @@ from service.alarms.records import normal_alarm, urgency
 from service.alarms.states import AlarmState
 from service.documents.alarms import alarm_document
 from service.domain.alarm_condition import AlarmCondition
+from service.spreadsheets import text_cell
 from service.web.pages import static_directory
 
 pytestmark = pytest.mark.wires
@@ -88,7 +89,9 @@ def test_the_service_lists_alarms_in_the_order_of_the_page() -> None:
 
 def test_no_cell_of_the_journal_that_a_page_saves_is_a_formula() -> None:
     texts = ["=1+1", "@x", "+1+2", "-2+3", "\t=1", "\uff1d1", "-3.5", "seen"]
+    texts += ["seen;=1+1;-3", 'a;"=1', "a\r\n=1", " =1", "\ufeff=1"]
     lines = [{"comment": text} for text in texts]
     saved = answer("alarms/journal.js", "(page, lines) => page.journalCsv(lines)", lines)
     cells = [row["comment"] for row in csv.DictReader(io.StringIO(saved, newline=""))]
-    assert cells == [f"'{text}" for text in texts[:-2]] + texts[-2:]
+    assert cells == [text_cell(text) for text in texts]
+    assert cells[-5:] == ["seen;'=1+1;-3", "a;'\"=1", "a\r\n'=1", "' =1", "'\ufeff=1"]

@@ -20,6 +20,7 @@ from service.documents.alarms import (
     transition_document,
 )
 from service.domain.roles import VIEWER
+from service.domain.texts import visible
 from service.domain.times import Instant
 from service.spreadsheets import cell
 from service.store import AlarmJournalPage, JournalFilter, Store
@@ -173,7 +174,11 @@ def _flat(line: AlarmJournalLine) -> dict[str, object]:
     return {"peak_value": None, "peak_time": None} | others | assets | peak
 
 
+def _visible(value: object) -> object:
+    return visible(value) if isinstance(value, str) else value
+
+
 def _csv(rows: list[tuple[object, ...]]) -> str:
     text = io.StringIO()
-    csv.writer(text).writerows([[cell(value) for value in row] for row in rows])
+    csv.writer(text).writerows([[cell(_visible(value)) for value in row] for row in rows])
     return text.getvalue()

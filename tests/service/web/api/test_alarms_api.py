@@ -287,10 +287,12 @@ async def test_no_comment_is_a_formula_in_the_journals_csv(world: Any) -> None:
     for comment in comments:
         answer = await client.post(f"{ALARMS}/{alarm}/comment", json={"comment": comment})
         assert answer.status_code == 200, answer.text
+    # Stored before such texts were refused.
+    world.alarms.comment(alarm, "operator", "a\x1b[31m;=1")
     answer = await client.get(f"{ALARMS}/journal", params={"format": "csv"})
     rows = csv.DictReader(io.StringIO(answer.text))
     found = [row["comment"] for row in rows if row["comment"]]
-    assert found[::-1] == [f"'{comment}" for comment in comments[:-1]] + ["-5"]
+    assert found[::-1] == [f"'{comment}" for comment in comments[:-1]] + ["-5", "a [31m;'=1"]
 
 
 async def test_an_action_that_nothing_keeps_is_not_answered_as_done(world: Any) -> None:

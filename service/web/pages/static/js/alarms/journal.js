@@ -39,9 +39,11 @@ export const journalColumns = (nameOf) => [
 ];
 
 const quoted = (value) => `"${String(value ?? '').replaceAll('"', '""')}"`;
-const NUMBER = /^[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?$/i;
-const FORMULA = /^[=+@\-\t\r\n\uff1d\uff0b\uff0d\uff20]/;
-const safeCell = (text) => (FORMULA.test(text) && !NUMBER.test(text) ? `'${text}` : text);
+const NUMBER = /^ *[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)? *$/i;
+const FORMULA = /^[ "\u00a0\u200b\ufeff]*[=+@\-\uff1d\uff0b\uff0d\uff20]/;
+const safePart = (text) => (FORMULA.test(text) && !NUMBER.test(text) ? `'${text}` : text);
+/** As `service.spreadsheets` writes it: also where a spreadsheet of another language cuts a line. */
+const safeCell = (text) => text.split(/([;\t\r\n])/).map(safePart).join('');
 const CSV_COLUMNS = ['time', 'asset', 'class', 'from', 'to', 'kind', 'channel', 'message', 'value',
   'peak_value', 'peak_time', 'duration_s', 'who', 'comment'];
 
