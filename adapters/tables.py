@@ -1,22 +1,29 @@
 """Rows of recorded tables, CSV and Parquet, whatever their columns mean."""
 
 import csv
+import itertools
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO, Final, NamedTuple
+from typing import IO, Any, AnyStr, BinaryIO, Final, NamedTuple
 
 from adapters import AdapterError
 from adapters.words import one_line
 
 #: A number as files have it; Python's underscores and other scripts' digits make none.
 NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
+#: Columns of a table.
+COLUMNS_MAX: Final = 10_000
+#: Bytes of a line of CSV, or characters.
+LINE_MAX: Final = 4 * 1024**2
 NOT_CLOSED: Final = "a quotation mark that is not closed in its line; expected it closed"
 _DECIMAL_COMMA: Final = re.compile(
     r"[+-]?(?:\d{1,3}(?:\.\d{3})+|\d*),\d+(?:[eE][+-]?\d+)?", re.ASCII
 )
 
+#: Cells of a Parquet file that are in memory at once, as Python has them.
+_CELLS_OF_BATCH: Final = 1_000_000
 _UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 #: Microseconds of a unit of Parquet's time stamps, and units in one.
 _OF_UNIT = {"s": (1_000_000, 1), "ms": (1000, 1), "us": (1, 1), "ns": (1, 1000)}
@@ -110,7 +117,7 @@ def csv_table(
     name: str,
     size: int,
     delimiter: str,
-    columns_max: int | None = None,
+    columns_max: int = COLUMNS_MAX,
     cells_max: int | None = None,
 ) -> Iterator[tuple[list[str], Iterator[TableRow]]]:
     """Read CSV with a header line, in UTF-8 with or without a byte order mark; as `open_table`.
@@ -118,7 +125,7 @@ def csv_table(
     Each row stands in one line: a quotation mark that is not closed costs its own line, and not
     all those up to the next one.
     """
-    lines = enumerate(binary, 1)
+    lines = enumerate(bounded_lines(binary, name), 1)
     line, header = next(
         (
             (line, cells)
@@ -131,7 +138,7 @@ def csv_table(
         raise TableFileError(f"{name}: line 1: empty file; expected a header line")
     if isinstance(header, RowError):
         raise TableFileError(f"{name}: line {line}: {header}; expected a header line")
-    if columns_max is not None and len(header) > columns_max:
+    if len(header) > columns_max:
         raise TableFileError(
             f"{name}: line {line}: {len(header)} columns; expected at most "
             f"{columns_max}: one row for each entry, not one column"
@@ -162,6 +169,28 @@ def csv_table(
     yield columns, rows()
 
 
+def bounded_lines(file: IO[AnyStr], name: str) -> Iterator[AnyStr]:
+    """Read lines, each with its end. Raises `TableFileError` at one that is too long."""
+    for number in itertools.count(1):
+        line = file.readline(LINE_MAX + 1)
+        if not line:
+            return
+        if len(line) > LINE_MAX:
+            raise TableFileError(
+                f"{name}: line {number}: more than {LINE_MAX // 1024**2} MiB; expected at most so "
+                "many"
+            )
+        yield line
+
+
+def why_not_csv(error: csv.Error) -> str:
+    """Say why a line cannot be split into cells."""
+    if "field limit" in str(error):
+        most = csv.field_size_limit()
+        return f"a cell of more than {most} characters; expected at most so many"
+    return f"not CSV ({error})"
+
+
 def _split(name: str, line: int, raw: bytes, delimiter: str) -> list[str] | RowError:
     """Split a line into its cells. Raises `TableFileError` where it is not UTF-8."""
     if line == 1 and raw.startswith(_UTF_16):
@@ -178,7 +207,7 @@ def _split(name: str, line: int, raw: bytes, delimiter: str) -> list[str] | RowE
     except csv.Error as error:
         if "unexpected end of data" in str(error):
             return RowError(NOT_CLOSED)
-        return RowError(f"not CSV ({error})")
+        return RowError(why_not_csv(error))
 
 
 def _is_empty(cells: list[str] | RowError) -> bool:
@@ -204,10 +233,15 @@ def _parquet_file(path: Path) -> Iterator[tuple[Any, Any]]:
 def _parquet(path: Path) -> Iterator[tuple[list[str], Iterator[TableRow]]]:
     with _parquet_file(path) as (pa, file):
         total = max(file.metadata.num_rows, 1)
+        names = list(file.schema_arrow.names)
+        if len(names) > COLUMNS_MAX:
+            raise TableFileError(
+                f"{path.name}: {len(names)} columns; expected at most {COLUMNS_MAX}"
+            )
 
         def rows() -> Iterator[TableRow]:
             line = 1
-            batches = file.iter_batches()
+            batches = file.iter_batches(max(1, _CELLS_OF_BATCH // max(len(names), 1)))
             while True:
                 try:
                     batch = next(batches, None)
@@ -226,7 +260,7 @@ def _parquet(path: Path) -> Iterator[tuple[list[str], Iterator[TableRow]]]:
                     cells = {name: column[at] for name, column in columns.items()}
                     yield TableRow(line / total, line, cells)
 
-        yield list(file.schema_arrow.names), rows()
+        yield names, rows()
 
 
 def _plain(pa: Any, column: Any) -> list[object]:

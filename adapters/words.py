@@ -2,13 +2,15 @@
 
 from typing import Final
 
-_CHARACTERS: Final = 60
+_CHARACTERS: Final = 100
 
 
 def shown(value: object) -> str:
-    """Give a value that is wrong, for a message."""
-    text = repr(value[:_CHARACTERS] if isinstance(value, str) else value)
-    return text if len(text) <= 2 * _CHARACTERS else f"{text[:_CHARACTERS]}…"
+    """Give a value that is wrong, for a message: not more than its first 100 characters."""
+    if isinstance(value, str):
+        return repr(value) if len(value) <= _CHARACTERS else f"{value[:_CHARACTERS]!r}…"
+    text = repr(value)
+    return text if len(text) <= _CHARACTERS else f"{text[:_CHARACTERS]}…"
 
 
 def one_line(error: object) -> str:

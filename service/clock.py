@@ -11,6 +11,7 @@ from pathlib import Path
 import structlog
 
 from adapters.protocol import Clock
+from adapters.words import shown
 from service.files import replacing
 
 MICROSECONDS = 1_000_000
@@ -221,7 +222,9 @@ def from_rfc3339(text: str) -> int:
     try:
         moment = datetime.fromisoformat(text)
     except ValueError:
-        raise ValueError(f"time {text!r}: expected RFC 3339 such as 2026-11-21T08:00:00Z") from None
+        raise ValueError(
+            f"time {shown(text)}: expected RFC 3339 such as 2026-11-21T08:00:00Z"
+        ) from None
     if moment.tzinfo is None:
-        raise ValueError(f"time {text!r}: expected an offset, such as Z or +01:00")
+        raise ValueError(f"time {shown(text)}: expected an offset, such as Z or +01:00")
     return (moment - _EPOCH) // timedelta(microseconds=1)

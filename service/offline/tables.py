@@ -16,7 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.configuration import first_repeated
-from adapters.tables import NOT_CLOSED, number_of
+from adapters.tables import (
+    COLUMNS_MAX,
+    NOT_CLOSED,
+    TableFileError,
+    bounded_lines,
+    number_of,
+    why_not_csv,
+)
+from adapters.words import shown
 from service.clock import from_rfc3339
 from service.domain.channels import NODES, OPERATING_CHANNELS, RING_SENSORS
 from service.domain.errors import BearingTwinError
@@ -100,7 +108,9 @@ def read_recording(path: Path, network: NetworkSection | None = None) -> Recordi
             raise table.error(1, f"{found}; expected one of the two, then {expected}")
         for name in table.names:
             if name not in (clocks[0], *known) and not _is_known(name, temperatures):
-                raise table.error(1, f"unknown column {name!r}; expected {clocks[0]}, {expected}")
+                raise table.error(
+                    1, f"unknown column {shown(name)}; expected {clocks[0]}, {expected}"
+                )
         required = RING_SENSORS if temperatures is None else ()
         table.require((*needed, *required), f"{clocks[0]}, {expected}")
         if temperatures is not None and not set(temperatures) & set(table.names):
@@ -157,7 +167,9 @@ def read_profile(path: Path, network: NetworkSection | None = None) -> PlannedRo
         table.require(expected, ", ".join(expected))
         for name in table.names:
             if name not in (*expected, *OPERATING_CHANNELS):
-                raise table.error(1, f"unknown column {name!r}; expected {', '.join(expected)}")
+                raise table.error(
+                    1, f"unknown column {shown(name)}; expected {', '.join(expected)}"
+                )
         columns = table.read("time_s", may_be_empty=False, numbers=_drives(network))
     if columns["time_s"][0] < 0.0:
         raise table.error(
@@ -239,6 +251,13 @@ def _opened(path: Path) -> Iterator[TextIO]:
         raise TableError(f"{path}: not UTF-8 text; expected a CSV file") from error
 
 
+def _lines(file: TextIO, name: str) -> Iterator[str]:
+    try:
+        yield from bounded_lines(file, name)
+    except TableFileError as error:
+        raise TableError(str(error)) from error
+
+
 class _Table:
     """A CSV file with a header, read column by column with the line of every row."""
 
@@ -246,16 +265,18 @@ class _Table:
         self.name = name
         self.lines: list[int] = []
         self.start_us = 0
-        self._reader = csv.reader(file, strict=True)
+        self._reader = csv.reader(_lines(file, name), strict=True)
         header = self._next()
         while header is not None and not any(cell.strip() for cell in header):
             header = self._next()
         if header is None:
             raise self.error(1, "empty file; expected a header line with the names of the columns")
+        if len(header) > COLUMNS_MAX:
+            raise self.error(1, f"{len(header)} columns; expected at most {COLUMNS_MAX}")
         self.names = [cell.strip() for cell in header]
         twice = first_repeated(self.names)
         if twice is not None:
-            raise self.error(1, f"column {twice!r} occurs twice; expected once")
+            raise self.error(1, f"column {shown(twice)} occurs twice; expected once")
 
     def error(self, line: int, text: str) -> TableError:
         return TableError(f"{self.name}: line {line}: {text}")
@@ -328,7 +349,7 @@ class _Table:
             if not math.isfinite(value):
                 optional = may_be_empty and name != clock
                 expected = "a number or an empty cell" if optional else "a number"
-                raise self.error(line, f"{name} = {text!r}: expected {expected}")
+                raise self.error(line, f"{name} = {shown(text)}: expected {expected}")
             numbers.append(value)
         return numbers
 
@@ -350,7 +371,7 @@ class _Table:
         try:
             cells = next(self._reader, None)
         except csv.Error as error:
-            cells, wrong = None, f"not CSV ({error})"
+            cells, wrong = None, why_not_csv(error)
         if self._reader.line_num > line:  # or only the end of the file closed it
             wrong = NOT_CLOSED
         if wrong:

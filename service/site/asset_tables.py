@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from adapters.configuration import listed
+from adapters.words import shown
 from service.domain.upload_limits import in_time
 from service.site.asset_section import AssetSection
 from service.site.configuration import SettingsError, TomlTable
@@ -70,7 +71,7 @@ def _check(
         )
     given = table.get("id", asset_id)
     if given != asset_id:
-        raise SettingsError(f"{asset_id}.id = {given!r}: expected {asset_id!r} or none")
+        raise SettingsError(f"{asset_id}.id = {shown(given)}: expected {asset_id!r} or none")
     section = settings.asset({"id": asset_id} | table, asset_id)
     _check_json(section, table)
     return of_section(settings, section)

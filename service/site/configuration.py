@@ -10,6 +10,7 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
+from adapters import words
 from service.domain.errors import BearingTwinError
 from service.files import EncodingError, utf8_of
 
@@ -68,7 +69,7 @@ def _lines(error: ErrorDetails, prefix: str) -> Iterator[str]:
         key += f"[{part}]" if isinstance(part, int) else f"{'.' if key else ''}{part}"
     message = error["msg"].removeprefix("Value error, ")
     given = error.get("input")
-    shown = "" if isinstance(given, dict | list | BaseModel) else f" = {given!r}"
+    shown = "" if isinstance(given, dict | list | BaseModel) else f" = {words.shown(given)}"
     if _is_secret(place) or error["type"] in ("model_type", "model_attributes_type"):
         shown = ""  # or a text in the place of a table, such as a URL
     if error["type"] == "missing":

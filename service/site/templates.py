@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from adapters.configuration import suggestion
+from adapters.words import shown
 from service.site.configuration import SettingsError, TomlTable
 
 #: Key of an asset that names its template, and of both that gives values.
@@ -31,9 +32,9 @@ def templates_by_name(given: object) -> dict[str, TomlTable]:
         key = f"templates[{number}]"
         name = table.get("name") if isinstance(table, dict) else None
         if not isinstance(name, str) or not name:
-            raise SettingsError(f"{key}.name = {name!r}: expected a name")
+            raise SettingsError(f"{key}.name = {shown(name)}: expected a name")
         if name in found:
-            raise SettingsError(f"{key}.name = {name!r}: used twice; expected unique")
+            raise SettingsError(f"{key}.name = {shown(name)}: used twice; expected unique")
         if _ID in table:
             raise SettingsError(f"{key}.id: unknown key; each asset has an id of its own")
         if not isinstance(table.get(VALUES, {}), dict):
@@ -56,7 +57,7 @@ def from_template(asset: TomlTable, templates: Mapping[str, TomlTable], key: str
         return asset
     if not isinstance(name, str) or name not in templates:
         known = suggestion(str(name), templates) if templates else "there are no templates"
-        raise SettingsError(f"{key}.template = {name!r}: {known}")
+        raise SettingsError(f"{key}.template = {shown(name)}: {known}")
     given = asset.get(VALUES, {})
     if not isinstance(given, dict):
         raise SettingsError(f"{key}.values: expected a table of values by name")

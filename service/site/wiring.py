@@ -10,6 +10,7 @@ from pydantic import BaseModel, ValidationError
 from adapters.configuration import ConfigurationError, MeasuredChannel, SourceConfig, suggestion
 from adapters.protocol import ChannelBinding, Clock, Driver, DriverSpec, PlanBinding
 from adapters.registry import DRIVERS
+from adapters.words import shown
 from service.domain.channels import CONTROLLER_CHANNELS, unit_of
 from service.site.asset_section import AssetSection
 from service.site.check_limits import CheckLimits, limits_of, within_machine
@@ -227,7 +228,7 @@ def source_of(key: str, table: TomlTable, base_dir: Path) -> SourceWiring:
         raise SettingsError(f"{key}.driver = {driver!r}: {suggestion(str(driver), DRIVERS)}")
     name = table.get("name")
     if not isinstance(name, str) or not name or name == PUSH:
-        raise SettingsError(f"{key}.name = {name!r}: expected a name other than 'push'")
+        raise SettingsError(f"{key}.name = {shown(name)}: expected a name other than 'push'")
     spec = DRIVERS[driver]
     return SourceWiring(name, spec, _validated(spec.source_model, table, key, base_dir=base_dir))
 
@@ -256,7 +257,9 @@ def _source_name(table: TomlTable, sources: Mapping[str, SourceWiring | None], k
     if name is None:
         raise SettingsError(f"{key}.source: missing; expected the name of a source or 'push'")
     if not isinstance(name, str) or (name != PUSH and name not in sources):
-        raise SettingsError(f"{key}.source = {name!r}: {suggestion(str(name), [*sources, PUSH])}")
+        raise SettingsError(
+            f"{key}.source = {shown(name)}: {suggestion(str(name), [*sources, PUSH])}"
+        )
     return name
 
 

@@ -163,7 +163,7 @@ def _layout(
 
     twice = first_repeated(columns)
     if twice is not None:
-        raise wrong(f"column {twice!r} occurs twice; expected once")
+        raise wrong(f"column {shown(twice)} occurs twice; expected once")
     if mapping is not None:
         if mapping.time is None:
             raise TransferError(f"{file}: the mapping has no [time]; expected the times' column")
@@ -176,7 +176,7 @@ def _layout(
         wanted = [mapping.time.column, *(one.column for one in mapping.channels.values())]
         for name in wanted:
             if name not in columns:
-                raise wrong(f"missing column {name!r}; the mapping names {', '.join(wanted)}")
+                raise wrong(f"missing column {shown(name)}; the mapping names {', '.join(wanted)}")
         unit = "s" if mapping.time.seconds else mapping.time.unit
         return Layout(mapping.time.column, unit, dict(mapping.channels), mapping.decimal)
     times = [name for name in ("time", "time_s") if name in columns]
@@ -188,7 +188,8 @@ def _layout(
         for name in columns:
             if name not in (*times, *_LONG, "quality", "received"):
                 raise wrong(
-                    f"unknown column {name!r}; expected time, channel, value, quality, received"
+                    f"unknown column {shown(name)}; expected time, channel, value, quality, "
+                    "received"
                 )
         return layout
     required = REQUIRED if own_channels is None else tuple(own_channels)
@@ -197,11 +198,11 @@ def _layout(
         expected += f" and {NODES[0]} to {NODES[-1]}"
     for name in required:
         if name not in columns:
-            raise wrong(f"missing column {name!r}; expected {expected}, or a mapping")
+            raise wrong(f"missing column {shown(name)}; expected {expected}, or a mapping")
     for name in columns:
         if name not in times:
             if name not in required and (name not in NODES or own_channels is not None):
-                raise wrong(f"unknown column {name!r}; expected {expected}, or a mapping")
+                raise wrong(f"unknown column {shown(name)}; expected {expected}, or a mapping")
             layout.channels[name] = ChannelColumn(column=name)
     return layout
 

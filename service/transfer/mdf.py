@@ -19,6 +19,7 @@ from adapters.configuration import first_repeated
 from adapters.samples import Quality
 from adapters.tables import TableFileError
 from adapters.units import UnitError, factors_of
+from adapters.words import shown
 from service.domain.channels import NODES, OPERATING_CHANNELS, RING_SENSORS, unit_of
 from service.transfer.errors import TransferError
 from service.transfer.mapping import ChannelColumn, Mapping
@@ -201,20 +202,20 @@ def _chosen(
         here = places.get(source.column, [])
         if not here:
             raise TransferError(
-                f"{file}: missing channel {source.column!r}; the mapping names {wanted}"
+                f"{file}: missing channel {shown(source.column)}; the mapping names {wanted}"
             )
         fitting = [
             one for one in here if source.group in (None, one[0]) and source.index in (None, one[1])
         ]
         if len(fitting) != 1:
             several = len({group for group, _ in here}) < len(here)
-            shown = ", ".join(
+            listed = ", ".join(
                 f"{group} (index {index})" if several else str(group) for group, index in here
             )
             keys = f"channels.{channel}.group and index" if several else f"channels.{channel}.group"
             raise TransferError(
-                f"{file}: channel {source.column!r} is in the groups {shown}; expected {keys} = "
-                "one of them"
+                f"{file}: channel {shown(source.column)} is in the groups {listed}; expected "
+                f"{keys} = one of them"
             )
         found.append(_Chosen(channel, source, *fitting[0]))
     return found
@@ -237,15 +238,15 @@ def _by_name(
         if twice is not None and name in known:
             indexes = ", ".join(str(index) for group, index in here if str(group) == twice)
             raise TransferError(
-                f"{file}: channel {name!r} is in group {twice} several times (index {indexes}); "
-                "expected a mapping with group and index"
+                f"{file}: channel {shown(name)} is in group {twice} several times (index "
+                f"{indexes}); expected a mapping with group and index"
             )
         for group, index in here:
             if (name, group) in judged or name in known:
                 yield _Chosen(name, ChannelColumn(column=name), group, index)
             elif not name.endswith(QUALITY_SUFFIX):
                 raise TransferError(
-                    f"{file}: unknown channel {name!r}; expected "
+                    f"{file}: unknown channel {shown(name)}; expected "
                     f"{', '.join(known[:5])} …, or a mapping"
                 )
 
@@ -283,8 +284,8 @@ def _unit_of_times_us(file: str, one: _Chosen, mdf: Any) -> float:
     index = mdf.masters_db.get(number)
     if index is None:
         raise TransferError(
-            f"{file}: channel {one.source.column!r} is in group {one.group}, which has no time "
-            "axis (no master channel); expected one"
+            f"{file}: channel {shown(one.source.column)} is in group {one.group}, which has no "
+            "time axis (no master channel); expected one"
         )
     if mdf.version < "4":
         return _SECOND_US  # of these files every axis is one of seconds
@@ -295,8 +296,8 @@ def _unit_of_times_us(file: str, one: _Chosen, mdf: Any) -> float:
     if kind != _TIME or unit_us is None:
         said = f"{kind} in {unit!r}" if unit else kind
         raise TransferError(
-            f"{file}: channel {one.source.column!r} is in group {one.group}, whose axis is "
-            f"{master.name!r} ({said}); expected a time axis, in s, ms, us, ns, min or h"
+            f"{file}: channel {shown(one.source.column)} is in group {one.group}, whose axis is "
+            f"{shown(str(master.name))} ({said}); expected a time axis, in s, ms, us, ns, min or h"
         )
     return unit_us
 
@@ -317,7 +318,7 @@ def _as_samples(
 ) -> MdfChannel:
     samples = np.asarray(signal.samples)
     if samples.ndim != 1 or samples.dtype.kind not in "fiub":
-        raise TransferError(f"{file}: channel {one.source.column!r} holds no numbers")
+        raise TransferError(f"{file}: channel {shown(one.source.column)} holds no numbers")
     scale, offset = _factors(file, one, str(signal.unit or ""))
     values = samples.astype(np.float64) * scale + offset
     invalid = np.zeros(values.size, bool)
@@ -353,6 +354,6 @@ def _factors(file: str, one: _Chosen, unit: str) -> tuple[float, float]:
         return factors_of(one.source, unit_of(one.channel), unit)
     except UnitError as error:
         raise TransferError(
-            f"{file}: channel {one.source.column!r} is {error} for {one.channel}, or a mapping "
-            "with scale"
+            f"{file}: channel {shown(one.source.column)} is {error} for {one.channel}, or a "
+            "mapping with scale"
         ) from None

@@ -9,6 +9,7 @@ from typing import Any, Final
 from pydantic import ValidationError
 
 from adapters.configuration import listed, suggestion
+from adapters.words import shown
 from service.alarm_kinds import KINDS
 from service.domain.alarm_guidance import AlarmName, PossibleAlarm
 from service.domain.alarm_kind import LevelRule
@@ -270,7 +271,7 @@ def _switch(given: object) -> bool:
         return given
     word = str(given).strip().lower()
     if word not in (*_YES, *_NO):
-        raise ValueError(f"{given!r}: expected yes or no")
+        raise ValueError(f"{shown(given)}: expected yes or no")
     return word in _YES
 
 
@@ -280,15 +281,15 @@ def _number(given: object) -> float:
             raise ValueError
         value = float(given if isinstance(given, int | float) else str(given))
     except (ValueError, OverflowError) as error:
-        raise ValueError(f"{given!r}: expected a number") from error
+        raise ValueError(f"{shown(given)}: expected a number") from error
     if not math.isfinite(value):
-        raise ValueError(f"{given!r}: expected a finite number")
+        raise ValueError(f"{shown(given)}: expected a finite number")
     return value
 
 
 def _text(key: str, given: object) -> str:
     if not isinstance(given, str):
-        raise ValueError(f"{given!r}: expected a text")
+        raise ValueError(f"{shown(given)}: expected a text")
     text = given.strip()
     if len(text) > TEXT_MAX:
         raise ValueError(f"{len(text)} characters; expected at most {TEXT_MAX}")
@@ -297,14 +298,14 @@ def _text(key: str, given: object) -> str:
     if text.startswith("'"):
         raise ValueError("expected no apostrophe at the beginning: a spreadsheet hides it")
     if key == "operator_action" and text.lower().rstrip(".") in _NO_ACTION:
-        raise ValueError(f"{text!r} is no action; what needs none is an event, not an alarm")
+        raise ValueError(f"{shown(text)} is no action; what needs none is an event, not an alarm")
     if key == "status" and text not in STATUSES:
-        raise ValueError(f"{text!r}: expected {listed(STATUSES)}")
+        raise ValueError(f"{shown(text)}: expected {listed(STATUSES)}")
     if key == "rationalised_at" and text:
         try:
             date.fromisoformat(text)
         except ValueError as error:
-            raise ValueError(f"{text!r}: expected a date such as 2026-11-23") from error
+            raise ValueError(f"{shown(text)}: expected a date such as 2026-11-23") from error
     return text
 
 

@@ -8,6 +8,7 @@ from typing import Any, Final
 
 from adapters.configuration import first_repeated, listed
 from adapters.tables import RowError, TableFileError, csv_table, has_decimal_comma
+from adapters.words import shown
 from service.domain.alarm_guidance import AlarmName
 from service.domain.errors import BearingTwinError
 from service.domain.json_values import read_json_text
@@ -144,11 +145,11 @@ def _check_header(columns: Sequence[str]) -> None:
     for name in columns:
         if name not in COLUMNS:
             raise AlarmSheetError(
-                f"line 1: unknown column {name!r}; expected some of {', '.join(COLUMNS)}"
+                f"line 1: unknown column {shown(name)}; expected some of {', '.join(COLUMNS)}"
             )
     twice = first_repeated(columns)
     if twice is not None:
-        raise AlarmSheetError(f"line 1: column {twice!r} occurs twice; expected once")
+        raise AlarmSheetError(f"line 1: column {shown(twice)} occurs twice; expected once")
     missing = [name for name in NAMES if name not in columns]
     if missing:
         raise AlarmSheetError(f"line 1: missing column {listed(missing)}; expected it")

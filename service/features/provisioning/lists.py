@@ -10,6 +10,7 @@ from typing import Any, Final
 
 from adapters.configuration import first_repeated, listed
 from adapters.tables import RowError, TableFileError, csv_table
+from adapters.words import shown
 from service.domain.errors import BearingTwinError
 from service.domain.json_values import read_json_text
 from service.domain.upload_limits import COLUMNS_MAX, too_large
@@ -79,7 +80,7 @@ class AssetRows:
                 found.assets[name] = same[0]
                 continue
             places = ", ".join(str(one.row) for one in same)
-            line = f"id = {name!r}: rows {places} have it; expected unique"
+            line = f"id = {shown(name)}: rows {places} have it; expected unique"
             found.wrong += [WrongRow(one.entry, one.row, name, (line,)) for one in same]
         return found
 
@@ -186,7 +187,7 @@ def _check_header(columns: Sequence[str]) -> None:
         raise AssetListError("line 1: a column without a name; expected a name for each")
     twice = first_repeated(columns)
     if twice is not None:
-        raise AssetListError(f"line 1: column {twice!r} occurs twice; expected once")
+        raise AssetListError(f"line 1: column {shown(twice)} occurs twice; expected once")
     if _ID not in columns:
         raise AssetListError(
             f"line 1: missing column {_ID!r}; expected it, then any of {', '.join(TEXT_COLUMNS)} "
@@ -233,7 +234,7 @@ def read_json(content: bytes) -> AssetRows:
                 continue
             rows.append(ListedAsset(entry, entry + 1, one.get(_ID) or None, table))
         elif isinstance(one, dict):
-            line = f"id = {one[_ID]!r}: expected a text"
+            line = f"id = {shown(one[_ID])}: expected a text"
             wrong.append(WrongRow(entry, entry + 1, None, (line,)))
         else:
             wrong.append(WrongRow(entry, entry + 1, None, ("expected a table with an id",)))
