@@ -158,10 +158,10 @@ def _check_whole(name: str, layout: Layout, rows: Iterator[TableRow]) -> None:
 def _take_channel(
     one: mdf.MdfChannel, asset: str, store: Store | None, now_us: int, report: ImportReport
 ) -> None:
-    """Store a channel of an MDF file; lines are the numbers of its samples."""
+    """Store a block of an MDF file; lines are the numbers of the samples of its channel."""
     rows = zip(one.time_us.tolist(), one.values.tolist(), one.quality.tolist(), strict=True)
     batch: list[_Numbered] = []
-    for number, (time_us, value, quality) in enumerate(rows, 1):
+    for number, (time_us, value, quality) in enumerate(rows, one.first):
         report.rows += 1
         try:
             if not is_possible(time_us, now_us):

@@ -9,6 +9,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -26,6 +27,8 @@ from service.transfer.mapping import ChannelColumn, Mapping
 
 SUFFIX: Final = ".mf4"
 QUALITY_SUFFIX = ".quality"
+#: Records of a channel that are in memory at once.
+BLOCK_RECORDS = 200_000
 _SECOND_US = 1_000_000
 #: 30,000 years: further from a start than any time that can be.
 _BEYOND_US: Final = 1e18
@@ -60,9 +63,10 @@ _DAMAGED = (ValueError, KeyError, IndexError, TypeError, EOFError, struct.error,
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MdfChannel:
-    """One channel of a file, as samples of ours.
+    """A block of the samples of one channel of a file, as samples of ours.
 
     - ``channel``: ours.
+    - ``first``: number of its first sample among those of the channel, from 1.
     - ``time_us``: (n,) UTC microseconds.
     - ``values``: (n,) in our unit; NaN where there is none.
     - ``quality``: (n,) OPC DA bytes.
@@ -70,6 +74,7 @@ class MdfChannel:
     """
 
     channel: str
+    first: int
     time_us: NDArray[np.int64]
     values: NDArray[np.float64]
     quality: NDArray[np.int64]
@@ -104,7 +109,7 @@ def open_mdf(
     own_channels: Sequence[str] | None,
     start_us: int | None,
 ) -> Iterator[Iterator[MdfChannel]]:
-    """Open a file and give its channels, one after the other.
+    """Open a file and give its channels, one after the other, in blocks of `BLOCK_RECORDS`.
 
     ``start_us``: time of 0 s in UTC microseconds, for a file that does not know it in UTC, or knows
     it wrong. Raises `TableFileError` if asammdf is not installed, or the file cannot be read, also
@@ -255,21 +260,27 @@ def _channels(
     asammdf: Any, file: str, mdf: Any, chosen: Sequence[_Chosen], start_us: int
 ) -> Iterator[MdfChannel]:
     places = _places(mdf)
-    for number, one in enumerate(chosen, 1):
-        with _naming_damage(asammdf, file):
-            signal = mdf.get(group=one.group, index=one.index, ignore_invalidation_bits=True)
-            beside = dict(places.get(f"{one.source.column}{QUALITY_SUFFIX}", ()))
-            quality = None
-            if one.group in beside:
-                quality = mdf.get(
+    for number, one in enumerate(chosen):
+        beside = dict(places.get(f"{one.source.column}{QUALITY_SUFFIX}", ())).get(one.group)
+        records = max(mdf.groups[one.group].channel_group.cycles_nr, 1)
+        first = 1
+        for offset in range(0, records, BLOCK_RECORDS):
+            with _naming_damage(asammdf, file):
+                get = partial(
+                    mdf.get,
                     group=one.group,
-                    index=beside[one.group],
-                    samples_only=True,
                     ignore_invalidation_bits=True,
-                )[0]
-            unit_us = _unit_of_times_us(file, one, mdf)
-        time_us = start_us + _microseconds(signal.timestamps, unit_us)
-        yield _as_samples(file, one, signal, quality, time_us, number / len(chosen))
+                    record_offset=offset,
+                    record_count=BLOCK_RECORDS,
+                )
+                signal = get(index=one.index)
+                quality = None if beside is None else get(index=beside, samples_only=True)[0]
+                unit_us = _unit_of_times_us(file, one, mdf)
+            time_us = start_us + _microseconds(signal.timestamps, unit_us)
+            read = (number + min((offset + BLOCK_RECORDS) / records, 1.0)) / len(chosen)
+            block = _as_samples(file, one, signal, quality, time_us, first, read)
+            first += block.values.size
+            yield block
 
 
 def _unit_of_times_us(file: str, one: _Chosen, mdf: Any) -> float:
@@ -314,6 +325,7 @@ def _as_samples(
     signal: Any,
     quality: Any,
     time_us: NDArray[np.int64],
+    first: int,
     read: float,
 ) -> MdfChannel:
     samples = np.asarray(signal.samples)
@@ -335,7 +347,7 @@ def _as_samples(
         judged = np.where(unsaid, int(Quality.BAD), judged)
         kept = np.ones(values.size, bool)
     values[invalid] = np.nan
-    return MdfChannel(one.channel, time_us[kept], values[kept], judged[kept], read)
+    return MdfChannel(one.channel, first, time_us[kept], values[kept], judged[kept], read)
 
 
 def _bytes(file: str, one: _Chosen, quality: NDArray[Any]) -> NDArray[np.int64]:

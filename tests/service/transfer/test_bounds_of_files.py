@@ -1,13 +1,16 @@
 """A file of a million columns, or of cells without an end, is refused soon, in a short line."""
 
 from collections.abc import Callable
+from datetime import UTC, datetime
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from adapters.drivers.replay.tables import open_recording
 from adapters.tables import load_pyarrow
 from service.offline.tables import read_profile, read_recording
+from service.transfer import mdf
 
 from .conftest import Run
 
@@ -98,3 +101,23 @@ def test_parquet_has_the_same_bound(run: Run, tmp_path: Path) -> None:
     parquet.write_table(pa.table({f"c{number}": [1.0] for number in range(10_001)}), path)
     status, _, error = run("import", path)
     assert (status, error) == (2, "wide.parquet: 10001 columns; expected at most 10000")
+
+
+def test_an_mdf_file_is_read_in_blocks(run: Run, tmp_path: Path) -> None:
+    """What is in memory does not grow with the length of a recording."""
+    path, samples = tmp_path / "long.mf4", 2 * mdf.BLOCK_RECORDS + 1
+    with mdf.load_asammdf().MDF(version="4.10") as file:
+        file.header.start_time = datetime(2026, 3, 1, 12, tzinfo=UTC)
+        times_s = np.arange(samples) / 1000
+        values = 60.0 + np.sin(times_s)
+        values[-1] = 9999.0
+        ring = mdf.load_asammdf().Signal(values, times_s, unit="°C", name="t_inner_ring_c")
+        file.append([ring])
+        file.save(path)
+    with mdf.open_mdf(path, None, None, None) as found:
+        blocks = [(one.first, one.values.size, round(one.read, 2)) for one in found]
+    most = mdf.BLOCK_RECORDS
+    assert blocks == [(1, most, 0.5), (most + 1, most, 1.0), (2 * most + 1, 1, 1.0)]
+    _, report, _ = run("import", path, "--dry-run")
+    assert (report["rows"], report["samples"], report["rejected"]) == (samples, samples - 1, 1)
+    assert report["errors"][0]["line"] == samples

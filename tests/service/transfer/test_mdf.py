@@ -14,6 +14,7 @@ import pytest
 from adapters.samples import Sample
 from service.clock import from_rfc3339
 from service.store import Store
+from service.transfer import mdf
 from service.transfer.mdf import load_asammdf
 
 from .conftest import Run, stored
@@ -24,6 +25,13 @@ asammdf = load_asammdf()
 
 START = "2026-03-01T12:00:00.250001Z"
 START_US = from_rfc3339(START)
+
+
+@pytest.fixture(autouse=True, params=["whole", "in blocks"])
+def blocks(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a file says does not depend on where the blocks begin in which it is read."""
+    if request.param == "in blocks":
+        monkeypatch.setattr(mdf, "BLOCK_RECORDS", 2)
 
 
 def fill(tmp_path: Path, samples: Sequence[Sample]) -> None:
