@@ -225,6 +225,10 @@ def _parquet_file(path: Path) -> Iterator[tuple[Any, Any]]:
         ) from error
     except pa.ArrowException as error:
         raise TableFileError(f"{path.name}: not a Parquet file ({one_line(error)})") from error
+    except UnicodeDecodeError as error:
+        raise TableFileError(
+            f"{path.name}: damaged Parquet file (the name of a column is not UTF-8)"
+        ) from error
     with file:
         yield pa, file
 
@@ -273,7 +277,12 @@ def _plain(pa: Any, column: Any) -> list[object]:
             None if count is None else TimeStamp(count * per_unit // per_us)
             for count in column.cast(pa.int64()).to_pylist()
         ]
-    return list(column.to_pylist())
+    try:
+        return list(column.to_pylist())
+    except (ValueError, OverflowError):
+        if not pa.types.is_temporal(column.type):
+            raise
+        return list(column.cast(pa.string()).to_pylist())  # a date or a time that cannot be
 
 
 def load_pyarrow() -> tuple[Any, Any]:

@@ -165,6 +165,28 @@ def test_of_a_damaged_file_nothing_is_stored(tmp_path: Path, run: Run) -> None:
     assert stored(tmp_path) == []
 
 
+def test_an_odd_column_beside_the_others_costs_nothing(tmp_path: Path, run: Run) -> None:
+    stamps = pa.array([START_US], pa.timestamp("us", tz="UTC"))
+    odd = {
+        "day": pa.array([2**31 - 1], pa.int32()).view(pa.date32()),
+        "clock": pa.array([2**40], pa.int64()).view(pa.time64("us")),
+        "span": pa.array([2**62], pa.int64()).view(pa.duration("s")),
+        "moment": pa.array([2**62], pa.int64()).view(pa.timestamp("us")),
+    }
+    path = tmp_path / "odd.parquet"
+    pq.write_table(pa.table({"time": stamps, **VALUES, **odd}), path)
+    plan = mapping(tmp_path, "")
+    status, report, _ = run("import", path, "--mapping", plan)
+    assert (status, report["stored"]) == (0, len(VALUES))
+
+
+def test_a_column_whose_name_is_no_text_is_damage(tmp_path: Path, run: Run) -> None:
+    path = parquet(tmp_path, pa.array([START]))
+    path.write_bytes(path.read_bytes().replace(b"load_n", b"load\xff\xfe"))
+    text = run("import", path)[2]
+    assert "run.parquet: damaged Parquet file (the name of a column is not UTF-8)" in text
+
+
 def test_a_time_is_no_count_and_no_value(tmp_path: Path, run: Run) -> None:
     stamps = pa.array([START_US], pa.timestamp("us", tz="UTC"))
     plan = mapping(tmp_path, 'unit = "ns"')
