@@ -24,6 +24,7 @@ _DECIMAL_COMMA: Final = re.compile(
 
 #: Cells of a Parquet file that are in memory at once, as Python has them.
 _CELLS_OF_BATCH: Final = 1_000_000
+_ROWS_OF_BATCH: Final = 65_536
 _UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 #: Microseconds of a unit of Parquet's time stamps, and units in one.
 _OF_UNIT = {"s": (1_000_000, 1), "ms": (1000, 1), "us": (1, 1), "ns": (1, 1000)}
@@ -245,7 +246,8 @@ def _parquet(path: Path) -> Iterator[tuple[list[str], Iterator[TableRow]]]:
 
         def rows() -> Iterator[TableRow]:
             line = 1
-            batches = file.iter_batches(max(1, _CELLS_OF_BATCH // max(len(names), 1)))
+            rows_at_once = max(1, min(_ROWS_OF_BATCH, _CELLS_OF_BATCH // max(len(names), 1)))
+            batches = file.iter_batches(rows_at_once)
             while True:
                 try:
                     batch = next(batches, None)

@@ -21,7 +21,9 @@ def text_cell(text: str) -> str:
 
 
 def _part(text: str) -> str:
-    is_formula = _FORMULA.match(text) and not NUMBER.fullmatch(text.strip(" "))
+    # An apostrophe of the text itself before a formula is kept by another one.
+    begin = text.lstrip("'")
+    is_formula = _FORMULA.match(begin) and not NUMBER.fullmatch(begin.strip(" "))
     return f"'{text}" if is_formula else text
 
 

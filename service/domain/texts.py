@@ -3,7 +3,7 @@
 import re
 from typing import Annotated, Final
 
-from pydantic import Field
+from pydantic import StringConstraints
 
 #: Control characters, ends of lines, direction marks, and what has no width and no use in a word:
 #: the joiners U+200C and U+200D stay, since names of several scripts are written with them.
@@ -26,5 +26,5 @@ def visible(text: str) -> str:
     return _NOT_SHOWN.sub(" ", text)
 
 
-OneLine = Annotated[str, Field(pattern=ONE_LINE)]
-"""A text of one line in a request."""
+OneLine = Annotated[str, StringConstraints(strip_whitespace=True, pattern=ONE_LINE)]
+"""A text of one line in a request; blanks and ends of lines around it do not count."""

@@ -107,6 +107,7 @@ class Authenticator:
         # goes on with it costs no look-up.
         self._wrong: FIFOCache[str, None] = FIFOCache(_MOST_REMEMBERED)
         self._memory: LRUCache[str, _Remembered] = LRUCache(_MOST_REMEMBERED)
+        self._revoked: FIFOCache[str, None] = FIFOCache(_MOST_REMEMBERED)  # ids, here and now
         # Apart from the threads that serve long queries: a poll never waits behind a report; and
         # who is known never waits behind those who are not.
         self._limiter, self._unknown_limiter = CapacityLimiter(1), CapacityLimiter(1)
@@ -119,9 +120,7 @@ class Authenticator:
         if sha256 in self._wrong:
             return None
         principal = await self._recall(f"key {sha256}", lambda: self._find_key(text))
-        if principal is None:
-            self._wrong[sha256] = None
-        return _if_not_over(principal)
+        return self._if_still(principal, sha256)
 
     def knows(self, text: str) -> bool:
         """Whether a key was looked up lately, with whatever result."""
@@ -130,8 +129,9 @@ class Authenticator:
 
     def is_in_use(self, text: str) -> bool:
         """Whether a key has opened something since the start, and may still do so."""
-        known = self._memory.get(f"key {fingerprint(text)}")
-        return known is not None and _if_not_over(known.principal) is not None
+        sha256 = fingerprint(text)
+        known = self._memory.get(f"key {sha256}")
+        return known is not None and self._if_still(known.principal, sha256) is not None
 
     def knows_session(self, cookie: str) -> bool:
         """Whether a session cookie was looked up lately, or cannot be one."""
@@ -148,9 +148,7 @@ class Authenticator:
         if sha256 in self._wrong:
             return None
         principal = await self._recall(f"session {sha256}", lambda: self._verify_session(sha256))
-        if principal is None:  # made of random bits, it is never any other session's
-            self._wrong[sha256] = None
-        return _if_not_over(principal)
+        return self._if_still(principal, sha256)
 
     async def log_in(self, principal: Principal) -> tuple[str, Principal]:
         """Open a browser session; returns the cookie's value and the caller as of now.
@@ -174,7 +172,8 @@ class Authenticator:
         """End a browser session, with the line of the audit trail that says so."""
         sha256 = fingerprint(cookie)
         await self._in_time(lambda: self._store.access.end_session(sha256, line))
-        self._refuse(f"session {sha256}")
+        self._memory.pop(f"session {sha256}", None)
+        self._wrong[sha256] = None
 
     async def _in_time(self, work: Callable[[], Answer]) -> Answer:
         """Work with the store in a thread; one that hangs is left behind."""
@@ -186,14 +185,17 @@ class Authenticator:
 
     def forget(self, key_id: str) -> None:
         """Refuse a key and its sessions from now on: it was revoked here and now."""
-        for name, known in list(self._memory.items()):
-            if known.principal.key_id == key_id:
-                self._refuse(name)
+        self._revoked[key_id] = None
 
-    def _refuse(self, name: str) -> None:
-        """Let a key or a session in no more, whatever a look-up says that is under way."""
-        self._memory.pop(name, None)
-        self._wrong[name.partition(" ")[2]] = None
+    def _if_still(self, principal: Principal | None, sha256: str) -> Principal | None:
+        """Leave out who may come in no more, whatever a look-up that was under way has found."""
+        if principal is None or principal.key_id in self._revoked:
+            # Made of random bits, it is never any other key or session.
+            self._wrong[sha256] = None
+        if principal is None or sha256 in self._wrong:
+            return None
+        # Not for good: a clock that was wrong can be set back.
+        return None if principal.is_over(wall_us()) else principal
 
     async def _recall(self, name: str, look_up: Callable[[], Principal | None]) -> Principal | None:
         known = self._memory.get(name)
@@ -219,7 +221,7 @@ class Authenticator:
         return known.principal
 
     def _remember(self, name: str, principal: Principal | None, now_s: float) -> None:
-        if principal is None or name.partition(" ")[2] in self._wrong:
+        if principal is None:
             self._memory.pop(name, None)
         else:
             self._memory[name] = _Remembered(principal, now_s)
@@ -288,11 +290,6 @@ class Authenticator:
 
 def _hangs(patience_s: float) -> StoreUnavailableError:
     return StoreUnavailableError(f"the store did not answer within {patience_s:g} s")
-
-
-def _if_not_over(principal: Principal | None) -> Principal | None:
-    """Leave out who has ended by now: not for good, a clock that was wrong can be set back."""
-    return None if principal is None or principal.is_over(wall_us()) else principal
 
 
 def _of_session(key: ApiKey, expires_us: int) -> Principal:

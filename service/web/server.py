@@ -47,7 +47,13 @@ _OUT_OF_FILES = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
 # A log-in proxy adds cookies of more than 8 KiB. What REST takes is taken of a stream too: the head
 # has come whole by then, within the bounds of h11.
 websockets.http11.MAX_LINE_LENGTH = 64 * 1024
-websockets.http11.MAX_NUM_HEADERS = 64 * 1024
+websockets.http11.MAX_NUM_HEADERS = 256
+# What the library takes apart word by word.
+_HANDSHAKE_HEADS = (
+    *(b"connection", b"upgrade"),
+    *(b"sec-websocket-protocol", b"sec-websocket-extensions"),
+)
+_HANDSHAKE_BYTES = 4096
 
 _log = structlog.get_logger(__name__)
 
@@ -181,6 +187,14 @@ class _Protocol(H11Protocol):
                 self.transport.abort()
                 return
         super().data_received(data)
+
+    def handle_websocket_upgrade(self, event: h11.Request) -> None:
+        """Pass a stream on, unless its head would keep the event loop busy."""
+        asked = sum(len(value) for name, value in self.headers if name in _HANDSHAKE_HEADS)
+        if asked > _HANDSHAKE_BYTES:
+            self.send_400_response("Too long a WebSocket handshake.")
+        else:
+            super().handle_websocket_upgrade(event)
 
     def limit(self, now_s: float) -> None:
         """Hang up when what this connection waits for has not come in time."""

@@ -276,10 +276,11 @@ def test_bits_that_only_inform_make_no_value_another_one() -> None:
         assert sample.quality == Quality.GOOD
 
 
-async def asked_again(driver: OpcUaDriver, session: Session) -> None:
+async def asked_again(driver: OpcUaDriver, session: Session, *names: str) -> None:
     """Let it be time for a question, and wait for the answer."""
     questions = driver._unit_questions
-    questions._ask_at = questions._check_at = 0.0
+    for name in names or ("_ask_at", "_check_at"):
+        setattr(questions, name, 0.0)
     questions.go_on(session)
     assert questions._asking is not None
     await questions._asking
@@ -322,6 +323,48 @@ async def test_a_unit_that_changes_while_connected_is_followed() -> None:
     server.unit = stated("K")
     await asked_again(driver, session)
     assert taken(300.0) == (26.85, Quality.GOOD)
+
+
+async def test_a_node_without_an_answer_holds_up_no_check_of_the_others() -> None:
+    driver = driver_of(
+        OpcUaChannel(source="plc", node=NODE), OpcUaChannel(source="plc", node=OTHER)
+    )
+    session, server = answering(driver)
+    server.properties = {1: ua.StatusCodes.BadInternalError}
+    await driver._unit_questions.begin(session)
+    silent = dict(driver._unit_questions._unasked)
+    assert list(silent) == [OTHER]
+    server.unit = stated("°C")
+    for _ in range(3):  # the one that is silent is asked for all the time
+        await asked_again(driver, session, "_ask_at")
+    await asked_again(driver, session, "_check_at")
+    (sample,) = driver._take([(NODE, value_of(26.9))], stands=True)
+    assert (sample.value, sample.quality) == (26.9, Quality.GOOD)
+    assert driver._unit_questions._unasked == silent
+
+
+async def test_a_change_while_others_are_asked_for_is_doubted() -> None:
+    driver = driver_of(
+        OpcUaChannel(source="plc", node=NODE), OpcUaChannel(source="plc", node=OTHER)
+    )
+    session, server = answering(driver)
+    server.properties = {1: ua.StatusCodes.BadInternalError}
+    questions = driver._unit_questions
+    await questions.begin(session)
+    questions._ask_at = 0.0
+    questions.go_on(session)  # for the other node; before it is put, the change comes
+    value = value_of(26.9)
+    value.StatusCode = ua.StatusCode(0x4000)
+    driver._take([(NODE, value)], stands=True)
+    assert questions._asking is not None
+    await questions._asking
+    (sample,) = driver._take([(NODE, value_of(26.9))], stands=True)
+    assert sample.quality == Quality.UNCERTAIN
+    server.unit = stated("°C")
+    await asked_again(driver, session)
+    (sample,) = driver._take([(NODE, value_of(26.9))], stands=True)
+    assert (sample.value, sample.quality) == (26.9, Quality.GOOD)
+    assert set(questions._unasked) == {OTHER}
 
 
 async def test_an_answer_from_before_the_change_ends_no_doubt() -> None:

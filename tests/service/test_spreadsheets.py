@@ -20,7 +20,7 @@ FORMULAS = [
     "-",
     "=",
 ]
-HARMLESS = ["", "seen", "-3.5", "+2", "-1e-5", "1.5", "a=b", "it's -2", "'=1", "5;-3;+2", " -3"]
+HARMLESS = ["", "seen", "-3.5", "+2", "-1e-5", "1.5", "a=b", "it's -2", "'5", "5;-3;+2", " -3"]
 #: A spreadsheet of German settings cuts a line at a semicolon; a quotation mark in the middle
 #: means nothing there.
 INNER = {
@@ -34,6 +34,8 @@ INNER = {
     'seen;"=1+1;"': 'seen;\'"=1+1;"',
     " =1": "' =1",
     "\ufeff=1": "'\ufeff=1",
+    "'=1": "''=1",  # its own apostrophe comes back
+    "x;'-y": "x;''-y",
     "\u200b\u00a0=1": "'\u200b\u00a0=1",
 }
 

@@ -47,7 +47,8 @@ class UnitQuestions:
         self._again = Backoff(AGAIN_FIRST_S, AGAIN_LAST_S)
         self._ask_at = -math.inf  # wall (monotonic) time
         self._asked_at = self._check_at = -math.inf
-        self._changed: set[str] = set()  # since the question that is under way
+        self._question: list[str] = []  # nodes of the one under way, or of the last one
+        self._changed: set[str] = set()  # since it was put
 
     @property
     def awaited(self) -> Collection[str]:
@@ -64,7 +65,8 @@ class UnitQuestions:
         else:
             self._again.reset()
             self._ask_at = -math.inf
-        self._answers, self._without = 0, []
+        self._answers, self._without, self._question = 0, [], []
+        self._check_at = time.monotonic() + CHECK_S
         followed = zip(self._points, self._given, strict=True)
         self._asked = [given.node for point, given in followed if needs_unit(given, point.unit)]
         self._doubt(dict.fromkeys(self._asked, "no answer yet"))
@@ -83,10 +85,13 @@ class UnitQuestions:
             return
         now_s = time.monotonic()
         waiting = [*self._unasked, *self._without]
-        if waiting and now_s >= self._ask_at:
-            self._asking = asyncio.create_task(self._ask(session, waiting))
-        elif self._asked and not self._unasked and now_s >= self._check_at:
-            self._asking = asyncio.create_task(self._ask(session, self._asked, is_check=True))
+        known = [node for node in self._asked if node not in self._unasked]
+        is_check = bool(known) and now_s >= self._check_at
+        if not is_check and not (waiting and now_s >= self._ask_at):
+            return
+        self._question = known if is_check else waiting
+        self._changed.clear()
+        self._asking = asyncio.create_task(self._ask(session, is_check))
 
     def doubt(self, nodes: Collection[str]) -> None:
         """Note that the server says that what these nodes hold has another meaning now."""
@@ -105,17 +110,15 @@ class UnitQuestions:
             asking.cancel()
             await asyncio.gather(asking, return_exceptions=True)
 
-    async def _ask(
-        self, session: Session, nodes: Collection[str], *, is_check: bool = False
-    ) -> None:
+    async def _ask(self, session: Session, is_check: bool) -> None:
         self._asked_at = time.monotonic()
-        self._check_at = self._asked_at + CHECK_S
-        if not is_check:
+        if is_check:
+            self._check_at = self._asked_at + CHECK_S
+        else:
             self._ask_at = self._asked_at + self._again.next()
         self._ends_connection = True
-        self._changed.clear()
         try:
-            found = await session.stated_units(nodes)
+            found = await session.stated_units(self._question)
         except SessionError as error:
             session.lose(str(error))
             return
@@ -136,7 +139,9 @@ class UnitQuestions:
 
     def take(self, stated: StatedUnits) -> None:
         """Turn values into the channels' units; what cannot be turned is doubted."""
-        unanswered = dict(stated.unanswered)
+        answered = {*self._question, *stated.units}
+        unanswered = {node: why for node, why in self._unasked.items() if node not in answered}
+        unanswered |= stated.unanswered
         for node, unit in stated.units.items():
             before = self._units.get(node, "")
             if before and not unit:  # the server may be about to start
@@ -147,10 +152,10 @@ class UnitQuestions:
                     "source %s: node %s: unit %r, %r before", self._source, node, unit, before
                 )
             self._units[node] = unit
-        if unanswered:
+        if stated.unanswered:
             logger.info(
                 "source %s: the server does not say the units of %d nodes: %s",
-                *(self._source, len(unanswered), next(iter(unanswered.values()))),
+                *(self._source, len(stated.unanswered), next(iter(stated.unanswered.values()))),
             )
         self._doubt(unanswered)
 

@@ -161,6 +161,8 @@ def _judge_asset(
             mistakes.append(Mistake(row.place, "unit", text))
         present = before[row.name]
         for key, given in row.fields.items():
+            if isinstance(given, str) and given and given == present.values[key]:
+                continue  # also a text that was kept before its kind was refused
             try:
                 value = _checked(asset, row.name, point, key, given)
             except ValueError as error:

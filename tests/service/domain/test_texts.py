@@ -56,6 +56,10 @@ def test_words_of_all_scripts_stay(text: str) -> None:
     assert re.match(ONE_LINE, text)
 
 
+def test_what_stands_around_a_text_does_not_count() -> None:
+    assert Body(text=" from a file\r\n").text == "from a file"
+
+
 def test_what_was_kept_before_is_shown_with_blanks() -> None:
     assert visible("a\x1b[31m\u202eb\nc") == "a [31m b c"
 

@@ -112,6 +112,6 @@ def _is_local(request: Request) -> bool:
     """
     if request.client is None or any(name in request.headers for name in _OF_A_PROXY):
         return False
-    name = (request.url.hostname or "").lower()
+    name = (request.url.hostname or "").lower().removesuffix(".")
     own = name in ("localhost", socket.gethostname().lower()) or is_address(name)
     return own and is_loopback(request.client.host)

@@ -51,11 +51,11 @@ async def log_in(request: Request, body: LogIn, keys: Keys, trail: Trail) -> Res
             principal = await new_key(request, keys, body.key, trail, "session.refuse")
         if principal is None:
             raise unauthorized(request)
+        _take_turn(keys, principal.key_id)
         if principal.role not in VIEWER:
             who = actor(request, principal.who)
             await trail.note_repeated(who, "session.refuse", "its role opens no browser session")
             raise Problem(403, f"a key of role {principal.role} opens no browser session")
-        _take_turn(keys, principal.key_id)
         cookie, principal = await keys.log_in(principal)
     except StoreUnavailableError as error:
         headers = {"Retry-After": str(RETRY_AFTER_S)}

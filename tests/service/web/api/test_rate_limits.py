@@ -44,6 +44,10 @@ async def test_a_key_opens_only_so_many_sessions_a_minute(world: Any) -> None:
         client = world.client(address=(address, 1))
         last = await client.post(SESSION, json={"key": world.keys["viewer"]})
     assert_must_wait(last)
+    for _ in range(3):  # a key that opens no session counts as well
+        gateway = await client.post(SESSION, json={"key": world.keys["gateway"]})
+        assert gateway.status_code == 403
+    assert_must_wait(await client.post(SESSION, json={"key": world.keys["gateway"]}))
     other = world.client(address=("203.0.113.4", 1))
     answer = await other.post(SESSION, json={"key": world.keys["operator"]})
     assert answer.status_code == 200
