@@ -15,7 +15,7 @@ from adapters.drivers.opcua.codes import has_changed_meaning
 from adapters.drivers.opcua.config import OpcUaChannel, OpcUaSource, check
 from adapters.drivers.opcua.session import Session, SessionError
 from adapters.drivers.opcua.unit_questions import UnitQuestions
-from adapters.drivers.opcua.values import FollowedNode, compared, moment_of
+from adapters.drivers.opcua.values import FollowedNode, code_of, compared, moment_of
 from adapters.protocol import ChannelBinding, Clock, PlanBinding, SourceHealth
 from adapters.samples import Batch, Quality, Sample, is_bad, is_good, next_time_us
 
@@ -194,8 +194,7 @@ class OpcUaDriver:
         """Doubt the nodes of which the server begins to say that their meaning has changed."""
         changed = []
         for node, value in found:
-            code = 0 if value.StatusCode is None else int(value.StatusCode.value)
-            if not has_changed_meaning(code):
+            if not has_changed_meaning(code_of(value)):
                 self._other_meaning.discard(node)
             elif node not in self._other_meaning:
                 self._other_meaning.add(node)

@@ -84,12 +84,14 @@ class UnitQuestions:
         if self._asking is not None and not self._asking.done():
             return
         now_s = time.monotonic()
-        waiting = [*self._unasked, *self._without]
-        known = [node for node in self._asked if node not in self._unasked]
-        is_check = bool(known) and now_s >= self._check_at
-        if not is_check and not (waiting and now_s >= self._ask_at):
+        question: list[str] = []
+        if is_check := now_s >= self._check_at:
+            question = [node for node in self._asked if node not in self._unasked]
+        if not question and now_s >= self._ask_at:
+            question, is_check = [*self._unasked, *self._without], False
+        if not question:
             return
-        self._question = known if is_check else waiting
+        self._question = question
         self._changed.clear()
         self._asking = asyncio.create_task(self._ask(session, is_check))
 

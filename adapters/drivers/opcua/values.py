@@ -104,9 +104,14 @@ def compared(reading: NodeReading, point: FollowedNode, now_us: int) -> tuple[No
     return reading, is_same_time and is_same
 
 
+def code_of(found: Any) -> int:
+    """Status code of a data value; without one it is good."""
+    return 0 if found.StatusCode is None else int(found.StatusCode.value)
+
+
 def reading_of(found: Any, config: OpcUaChannel, now_us: int, rate: float = 1.0) -> NodeReading:
     """Turn a data value into a reading; never good unless it is in every respect."""
-    code = int(found.StatusCode.value) if found.StatusCode is not None else 0
+    code = code_of(found)
     quality = quality_of(code)
     kind, reason, value = "", "", math.nan
     if is_bad(quality):
