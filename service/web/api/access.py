@@ -280,7 +280,7 @@ async def authenticate(
         ) from error
 
 
-async def is_still(
+async def caller_by_now(
     connection: HTTPConnection, authenticator: Authenticator, principal: Principal
 ) -> Principal | None:
     """Who a caller is by now that was let in as `principal`; None when the right has ended.

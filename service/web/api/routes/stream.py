@@ -21,7 +21,7 @@ from service.security.audit_trail import AuditTrail
 from service.security.authenticator import Authenticator, Principal
 from service.web.api.access import (
     authenticate,
-    is_still,
+    caller_by_now,
     refuse_odd_query,
     refuse_other_sites,
     secured,
@@ -334,7 +334,7 @@ async def _watch(sender: _Sender, keys: Authenticator, principal: Principal) -> 
         await asyncio.sleep(WATCH_EVERY_S)
         if sender.waiting_s > SEND_PATIENCE_S:
             return _TRY_AGAIN, f"nothing was read for {SEND_PATIENCE_S:g} s"
-        found = await is_still(sender.websocket, keys, principal)
+        found = await caller_by_now(sender.websocket, keys, principal)
         if found is None or found.role not in VIEWER:
             return _POLICY, "the key is no longer valid"
         principal = found

@@ -41,7 +41,10 @@ export const journalColumns = (nameOf) => [
 const quoted = (value) => `"${String(value ?? '').replaceAll('"', '""')}"`;
 const NUMBER = /^ *[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)? *$/i;
 const FORMULA = /^[ "\u00a0\u200b\ufeff]*[=+@\-\uff1d\uff0b\uff0d\uff20]/;
-const safePart = (text) => (FORMULA.test(text) && !NUMBER.test(text) ? `'${text}` : text);
+const safePart = (text) => {
+  const begin = text.replace(/^'+/, '');
+  return FORMULA.test(begin) && !NUMBER.test(begin) ? `'${text}` : text;
+};
 /** As `service.spreadsheets` writes it: also where a spreadsheet of another language cuts a line. */
 const safeCell = (text) => text.split(/([;\t\r\n])/).map(safePart).join('');
 const CSV_COLUMNS = ['time', 'asset', 'class', 'from', 'to', 'kind', 'channel', 'message', 'value',
