@@ -191,6 +191,16 @@ class Overview:
         """Whether it is known which assets there are."""
         return self._revision is not None
 
+    def names_of(self, kind: Literal["group", "family"]) -> set[str]:
+        """Give the groups or the families that assets have.
+
+        Raises `CellUnavailableError` while the cell does not answer, or not all assets are read.
+        """
+        names = {name for row in self._listing() if (name := getattr(row, kind)) is not None}
+        if not set(self.replicas.names) <= self._rows.keys():
+            raise CellUnavailableError("the assets are being read")
+        return names
+
     def page(
         self, fit: Fit, sort: Sort, limit: int, place: Place | None
     ) -> tuple[FleetPage, Place | None]:

@@ -88,6 +88,9 @@ def test_a_link_keeps_what_is_chosen(context: BrowserContext, fleet: Fleet) -> N
     expect(other.locator(".smap canvas")).to_have_count(1)
     other.get_by_label("Search assets").fill("nothing like it")
     expect(other.get_by_text("No asset fits")).to_be_visible()
+    gone = look(context, fleet, f"fleet?group=Hall%209&state=over&q={fleet.ids[HOT]}")
+    expect(gone.get_by_label("Group", exact=True)).to_have_value("")
+    expect(gone.locator(".attn a")).to_have_attribute("data-asset", fleet.ids[HOT])
 
 
 @pytest.mark.thorough

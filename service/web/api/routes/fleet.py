@@ -1,10 +1,12 @@
 """The fleet: summaries of thousands of assets, in answers of a bounded size."""
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from fastapi import APIRouter, Query, Request
 from starlette.responses import Response
 
+from adapters.configuration import listed
+from adapters.words import shown
 from service.documents.fleet import STATES, FleetMap, FleetPage, FleetState
 from service.domain.roles import VIEWER
 from service.web.api.access import secured
@@ -63,10 +65,22 @@ async def list_fleet(
     place = None if cursor is None else decode_cursor(cursor, Place)
     if place is not None and place.sort != sort:
         raise parameter_problem("cursor", f"expected a cursor of the order {sort!r}")
+    _require(context, "group", group)
+    _require(context, "family", family)
     fit = Fit(group, family, search, frozenset(state), attention)
     page, following = context.fleet.page(fit, sort, limit, place)
     page.next = None if following is None else encode_cursor(following)
     return json_response(page, headers=next_link(request, page.next))
+
+
+def _require(context: Context, parameter: Literal["group", "family"], name: str | None) -> None:
+    """Refuse a group or a family that no asset has: it has no answer."""
+    if name is None:
+        return
+    there = context.fleet.names_of(parameter)
+    if name not in there:
+        known = listed(sorted(there)) or "none"
+        raise parameter_problem(parameter, f"no {parameter} {shown(name)}; there is: {known}")
 
 
 @router.get(

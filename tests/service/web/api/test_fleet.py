@@ -165,6 +165,14 @@ async def test_pages_hold_every_asset_once_in_the_order_of_urgency(followed: Fol
         assert page.attention == sum(one.attention is not None for one in together)
 
 
+async def test_groups_are_known_when_all_assets_are(followed: Followed) -> None:
+    fleet = followed.fleet
+    assert fleet.names_of("group") == {"Hall A", "Hall B"}
+    followed.replicas.names = {*followed.replicas.names, "late"}
+    with pytest.raises(CellUnavailableError, match="being read"):
+        fleet.names_of("family")
+
+
 async def test_the_map_has_a_letter_for_each_asset_in_the_order_of_ids(followed: Followed) -> None:
     fleet = followed.fleet
     page, _ = fleet.page(Fit(), "id", MANY, None)
@@ -250,6 +258,10 @@ async def test_a_client_pages_through_the_fleet(world: Any) -> None:
     assert [one["id"] for one in fit.json()["items"]] == ["rig-2"]
     wrong = await viewer.get(f"/api/v1/fleet?sort=id&cursor={body['next']}")
     assert wrong.status_code == 422
+    for name in ("group", "family"):  # a wrong one has no answer
+        unknown = await viewer.get(f"/api/v1/fleet?{name}=Hall%209")
+        assert unknown.status_code == 422
+        assert unknown.json()["detail"].startswith(f"{name}: no {name} 'Hall 9'; there is: ")
     drawn = await viewer.get("/api/v1/fleet/map")
     assert drawn.json()["marks"] == "gb"
     again = {"If-None-Match": drawn.headers["etag"]}

@@ -13,11 +13,22 @@ export const groupOf = (asset) => asset?.group ?? '';
 
 /** What is chosen: a group, a state and a text, each '' for all; states: their names. */
 export class FleetChoice {
-  constructor(states) {
+  constructor(states, assets) {
     const query = readQuery();
     this.state = states.includes(query.get('state')) ? query.get('state') : '';
-    this.group = query.get('group') ?? '';
+    this.wantedGroup = query.get('group') ?? '';
     this.typed = query.get('q') ?? '';
+    this.learn(assets);
+  }
+
+  /** Learn which groups there are. */
+  learn(assets) {
+    this.groups = [...new Set(assets.map(groupOf).filter(Boolean))].sort();
+  }
+
+  /** A group that is gone, such as that of an old link, hides no asset. */
+  get group() {
+    return this.groups.includes(this.wantedGroup) ? this.wantedGroup : '';
   }
 
   get text() {
@@ -47,13 +58,13 @@ export class FleetBar extends Panel {
   choose(change) {
     const { choice, onchange } = this.props;
     Object.assign(choice, change);
-    keepQuery({ group: choice.group, state: choice.state, q: choice.text });
+    keepQuery({ group: choice.wantedGroup, state: choice.state, q: choice.text });
     onchange();
     this.draw();
   }
 
   render({ states, choice, counts }) {
-    const groups = [...new Set(this.page.assets.map(groupOf).filter(Boolean))].sort();
+    const { groups } = choice;
     return v('div', { class: 'fsum' },
       v('div', { class: 'fchips', role: 'group', 'aria-label': 'Show only' }, states.map(([state, text, symbol]) =>
         v('button', { type: 'button', 'aria-pressed': state === choice.state, 'data-group': state,
@@ -61,7 +72,7 @@ export class FleetBar extends Panel {
           onclick: () => this.choose({ state: choice.state === state ? '' : state }) },
         icon(symbol[0], symbol[1], '1.3em'), ' ', v('b', {}, (counts[state] ?? 0).toLocaleString('en')), text))),
       groups.length > 0 && select('Group', [['', 'all groups'], ...groups.map((group) => [group, group])], choice.group,
-        (group) => this.choose({ group })),
+        (wantedGroup) => this.choose({ wantedGroup })),
       search('Search assets', (typed) => this.choose({ typed }),
         { placeholder: 'Search', value: choice.typed, maxlength: 200 }), gap(),
       v('span', { class: 's mut' }, 'Alarms in the last 10 min: ', v('b', {}, this.figures?.last_10_min ?? '–'),

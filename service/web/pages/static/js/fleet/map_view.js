@@ -94,7 +94,8 @@ const MOST_ROWS = 1000;
 export class View extends Panel {
   constructor(attributes) {
     super(attributes);
-    Object.assign(this, { heard: null, problem: '', choice: new FleetChoice(STATES.map(([state]) => state)) });
+    Object.assign(this, { heard: null, problem: '',
+      choice: new FleetChoice(STATES.map(([state]) => state), this.page.assets) });
     this.map = new StateMap({
       open: (id) => this.page.openAsset(id, 'operator'), explain: (asset) => this.explain(asset),
     });
@@ -117,6 +118,7 @@ export class View extends Panel {
   }
 
   changed() {
+    this.choice.learn(this.page.assets);
     this.rows = matchMedia('(max-width: 760px)').matches ? ROWS_OF_PHONE : ROWS;
     this.showMap(true);
     this.ask(true);
@@ -145,6 +147,7 @@ export class View extends Panel {
     } catch (error) {
       if (!(error.status >= 0)) throw error;
       if (mine === this.asking) this.problem = error.status ? error.message : 'the service does not answer';
+      if (error.status === 422) this.learnAssets(); // a group is gone
     } finally {
       if (mine === this.asking) this.asking = null;
     }
@@ -154,15 +157,18 @@ export class View extends Panel {
   take(answer, map) {
     Object.assign(this, { heard: thisMoment(), problem: '', answer });
     const { assets, connection } = this.page;
-    // Other assets, or another name of one: their list is read again, and then the map fits it.
-    if (answer.revision !== connection.revision) {
-      this.learning ??= connection.guarded(() => connection.loadAssets())
-        .finally(() => { this.learning = null; });
-    }
+    if (answer.revision !== connection.revision) this.learnAssets();
     if (map.revision === connection.revision && map.marks.length === assets.length) {
       assets.forEach((asset, index) => { asset.mark = map.marks[index]; });
       this.showMap(Boolean(this.choice.state));
     }
+  }
+
+  /** Other assets, or another name of one: their list is read again, and then the map fits it. */
+  learnAssets() {
+    const { connection } = this.page;
+    this.learning ??= connection.guarded(() => connection.loadAssets())
+      .finally(() => { this.learning = null; });
   }
 
   render({ page }) {

@@ -16,7 +16,7 @@ export class View extends Panel {
   constructor(attributes) {
     super(attributes);
     this.feeds = [...this.page.connection.feeds.values()];
-    this.choice = new FleetChoice(STATES.map(([state]) => state));
+    this.choice = new FleetChoice(STATES.map(([state]) => state), this.page.assets);
     this.every(1000);
     this.open();
   }
@@ -31,6 +31,7 @@ export class View extends Panel {
 
   render({ page }) {
     const { choice, feeds } = this;
+    choice.learn(page.assets);
     const dense = feeds.length > MOST_CARDS;
     const columns = Math.ceil(Math.sqrt(feeds.length));
     const cards = feeds.map((feed) => {
