@@ -223,6 +223,7 @@ class _StreamProtocol(WebSocketsSansIOProtocol):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         super().connection_made(transport)
         self._since_s = time.monotonic()
+        self._closing_since_s: float | None = None
 
     def data_received(self, data: bytes) -> None:
         """Read on; refuse a head that the library cannot read, which it would not answer."""
@@ -237,8 +238,13 @@ class _StreamProtocol(WebSocketsSansIOProtocol):
             self.transport.close()
 
     def limit(self, now_s: float) -> None:
-        """Hang up when the application has neither accepted nor refused in time."""
-        if not self.handshake_complete and now_s - self._since_s > ACCEPT_S:
+        """Hang up when a stream was not answered in time, or its end was not read."""
+        if self.transport.is_closing():
+            self._closing_since_s = self._closing_since_s or now_s
+            is_over = now_s - self._closing_since_s > UNREAD_S
+        else:
+            is_over = not self.handshake_complete and now_s - self._since_s > ACCEPT_S
+        if is_over:
             self.transport.abort()
 
 

@@ -59,6 +59,14 @@ async def never(websocket: WebSocket) -> None:
             pass
 
 
+async def flood(websocket: WebSocket) -> None:
+    await websocket.accept()
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(1.0):
+            while True:
+                await websocket.send_text("x" * 65_536)
+
+
 @pytest.fixture
 async def port() -> AsyncIterator[int]:
     app = Starlette(
@@ -69,6 +77,7 @@ async def port() -> AsyncIterator[int]:
             Route("/long", long_answer),
             WebSocketRoute("/echo", echo),
             WebSocketRoute("/never", never),
+            WebSocketRoute("/flood", flood),
         ]
     )
     listener = socket.create_server(("127.0.0.1", 0))
@@ -160,6 +169,23 @@ async def test_a_stream_that_is_neither_accepted_nor_refused_is_closed(
         await stream.send("still here")
         assert await stream.recv() == "still here"
     writer.close()
+
+
+async def test_a_stream_whose_end_is_not_read_is_hung_up_on(
+    port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(web_server, "UNREAD_S", 1.0)
+    _, writer = await open_one(port)
+    writer.write(UPGRADE.replace(b"/echo", b"/flood") + b"\r\n")
+
+    async def write_on() -> None:
+        while True:
+            writer.write(b"x")
+            await writer.drain()
+            await asyncio.sleep(0.1)
+
+    with pytest.raises(ConnectionError):  # nothing that is sent is answered before
+        await asyncio.wait_for(write_on(), PATIENCE_S)
 
 
 async def test_a_body_that_does_not_end_is_cut_off(
