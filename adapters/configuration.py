@@ -16,6 +16,7 @@ from pydantic import (
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from adapters import AdapterError
+from adapters.words import shown
 
 
 class ConfigurationError(AdapterError, ValueError):
@@ -34,7 +35,7 @@ class StrictModel(BaseModel):
             return validate(data)
         known = [field.alias or name for name, field in cls.model_fields.items()]
         wrong = [
-            _error("unknown_key", f"unknown key {key!r}; {suggestion(key, known)}", (), data)
+            _error("unknown_key", f"unknown key {shown(key)}; {suggestion(key, known)}", (), data)
             for key in data
             if key not in known
         ]

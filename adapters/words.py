@@ -13,6 +13,12 @@ def shown(value: object) -> str:
     return text if len(text) <= _CHARACTERS else f"{text[:_CHARACTERS]}…"
 
 
+def shown_name(name: object) -> str:
+    """Give a key that somebody wrote, for a message: as it is where it reads as one word."""
+    text = str(name)
+    return text if len(text) <= _CHARACTERS and text.isprintable() else shown(text)
+
+
 def one_line(error: object) -> str:
     """Give what an error says, or a text, as one line."""
     return " ".join(str(error).split())

@@ -66,7 +66,8 @@ def _lines(error: ErrorDetails, prefix: str) -> Iterator[str]:
         of_table = isinstance(before, int) or before == "source"
         if part == "[key]" or (of_table and part in (*EDGE_KINDS, *SOURCE_KINDS, *LOSS_KINDS)):
             continue
-        key += f"[{part}]" if isinstance(part, int) else f"{'.' if key else ''}{part}"
+        key += f"[{part}]" if isinstance(part, int) else f".{words.shown_name(part)}"
+    key = key.removeprefix(".")
     message = error["msg"].removeprefix("Value error, ")
     given = error.get("input")
     shown = "" if isinstance(given, dict | list | BaseModel) else f" = {words.shown(given)}"

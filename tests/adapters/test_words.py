@@ -2,7 +2,7 @@
 
 import pytest
 
-from adapters.words import shown
+from adapters.words import shown, shown_name
 
 
 @pytest.mark.parametrize(
@@ -18,3 +18,11 @@ from adapters.words import shown
 )
 def test_a_value_is_shown_by_its_first_hundred_characters(value: object, said: str) -> None:
     assert shown(value) == said
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [("max_age_s", "max_age_s"), ("a\tb", "'a\\tb'"), ("x" * 101, repr("x" * 100) + "…")],
+)
+def test_a_key_reads_as_a_word_or_is_quoted(name: str, said: str) -> None:
+    assert shown_name(name) == said

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from adapters.configuration import first_repeated, listed
 from adapters.tables import RowError, TableFileError, csv_table, has_decimal_comma
-from adapters.words import shown
+from adapters.words import shown, shown_name
 from service.domain.alarm_guidance import AlarmName
 from service.domain.errors import BearingTwinError
 from service.domain.json_values import read_json_text
@@ -167,7 +167,7 @@ def read_json(content: bytes) -> tuple[list[WantedRow], list[Mistake], str]:
         raise AlarmSheetError(f"not valid JSON: {error}") from error
     if not isinstance(document, dict) or not isinstance(document.get(_ROWS), list):
         raise AlarmSheetError('expected {"rows": [{"asset": …, "tag": …, "kind": …}, …]}')
-    others = [str(name) for name in document if name not in (_ROWS, _COMMENT)]
+    others = [shown_name(name) for name in document if name not in (_ROWS, _COMMENT)]
     if others:
         raise AlarmSheetError(f"{others[0]}: unknown key; expected {_ROWS!r} and {_COMMENT!r}")
     comment = document.get(_COMMENT, "")
@@ -183,7 +183,7 @@ def read_json(content: bytes) -> tuple[list[WantedRow], list[Mistake], str]:
         if large is not None:
             mistakes.append(Mistake(place, "row", large))
             continue
-        unknown = [str(name) for name in cells if name not in COLUMNS]
+        unknown = [shown_name(name) for name in cells if name not in COLUMNS]
         names = {name: cells.get(name, "") for name in NAMES}
         wrong = [name for name, text in names.items() if not isinstance(text, str)]
         mistakes += (Mistake(place, name, "unknown key") for name in unknown)

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from adapters.configuration import first_repeated, listed
 from adapters.tables import RowError, TableFileError, csv_table
-from adapters.words import shown
+from adapters.words import shown, shown_name
 from service.domain.errors import BearingTwinError
 from service.domain.json_values import read_json_text
 from service.domain.upload_limits import COLUMNS_MAX, too_large
@@ -222,7 +222,7 @@ def read_json(content: bytes) -> AssetRows:
         raise AssetListError('expected {"assets": [{"id": …, …}, …]}')
     unknown = sorted(document.keys() - {"assets"})
     if unknown:
-        raise AssetListError(f"{unknown[0]}: unknown key; expected 'assets' alone")
+        raise AssetListError(f"{shown_name(unknown[0])}: unknown key; expected 'assets' alone")
     rows: list[ListedAsset] = []
     wrong: list[WrongRow] = []
     for entry, one in enumerate(document["assets"]):
