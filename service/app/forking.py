@@ -14,7 +14,7 @@ from service.loading import loading
 
 #: What all sides need, loaded before the first of them begins. What one side alone needs it
 #: loads itself: here it would be held twice.
-PRELOADED = ["service.store", "service.bus.local"]
+PRELOADED = ["service.store", "service.bus.local", "prometheus_client"]
 _CONTEXT = multiprocessing.get_context("fork")
 _SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 

@@ -7,7 +7,6 @@ from typing import Final
 import structlog
 from anyio import to_thread
 
-from service.kernels import compile_live_kernels
 from service.loading import loading
 from service.tasks import Part
 
@@ -87,4 +86,6 @@ class Kernels(Part):
 
 def _compile_here() -> None:
     with loading():
+        from service.kernels import compile_live_kernels
+
         compile_live_kernels()

@@ -8,15 +8,13 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import structlog
 from anyio import to_thread
 
-from service.bus.fleet_connection import connection_of
 from service.bus.local import LocalCellBus
 from service.bus.messages import CellState
-from service.bus.nats_bus import NatsCellBus
 from service.cell.acquisition import Acquisition
 from service.cell.cell_clock import CellClock
 from service.cell.kernels import Kernels
@@ -48,6 +46,7 @@ from service.tasks import INGEST, background
 from service.waiting import LEAVE_DATABASE_S, LEAVE_S, StoppedError, Waiting
 
 if TYPE_CHECKING:
+    from service.bus.nats_bus import NatsCellBus
     from service.cell.cell import Cell
     from service.store.database_lock import DatabaseLock
 
@@ -62,6 +61,7 @@ _ALIVE_EVERY_S = 1.0
 #: often these until all are: every two minutes with 500 assets.
 _COLLECTED_AFTER = (1000, 10, 100)
 
+_Bus: TypeAlias = "LocalCellBus | NatsCellBus"
 
 _log = structlog.get_logger(__name__)
 
@@ -130,7 +130,7 @@ class _Start:
         self._alive = alive
         self._wiring = wire(settings)
         self._waiting = Waiting(stop, self._waits_for)
-        self._bus: LocalCellBus | NatsCellBus | None = None
+        self._bus: _Bus | None = None
         # Names this run among all cells, where there are several.
         self._run = ""
         self._witness: Witness | None = None
@@ -193,8 +193,11 @@ class _Start:
         if self._witness is not None and self._witness.ended:
             raise StoreConfirmedError(self._witness.ended)
 
-    async def _make_bus(self, running: contextlib.AsyncExitStack) -> LocalCellBus | NatsCellBus:
+    async def _make_bus(self, running: contextlib.AsyncExitStack) -> _Bus:
         if self._settings.is_fleet:
+            from service.bus.fleet_connection import connection_of
+            from service.bus.nats_bus import NatsCellBus
+
             connection = connection_of(self._settings, "cell")
             bus = NatsCellBus(connection, self._run)
             await running.enter_async_context(background(connection.run(), "bus", self._stop))
@@ -252,7 +255,7 @@ class _Start:
         store: Store,
         acquisition: Acquisition,
         clock: CellClock,
-        bus: LocalCellBus | NatsCellBus,
+        bus: _Bus,
         answering: "asyncio.Task[None]",
     ) -> None:
         """Store what has been acquired so far, and run the rest of the cell."""
