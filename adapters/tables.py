@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import IO, Any, AnyStr, BinaryIO, Final, NamedTuple
 
 from adapters import AdapterError
-from adapters.words import one_line
+from adapters.words import one_line, shown
 
 #: A number as files have it; Python's underscores and other scripts' digits make none.
 NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
@@ -138,13 +138,19 @@ def csv_table(
     if header is None:
         raise TableFileError(f"{name}: line 1: empty file; expected a header line")
     if isinstance(header, RowError):
-        raise TableFileError(f"{name}: line {line}: {header}; expected a header line")
+        raise TableFileError(f"{name}: line {line}: no header line: {header}")
     if len(header) > columns_max:
         raise TableFileError(
             f"{name}: line {line}: {len(header)} columns; expected at most "
             f"{columns_max}: one row for each entry, not one column"
         )
     columns = [cell.strip() for cell in header]
+    broken = next((one for one in columns if len(one.splitlines()) > 1), None)
+    if broken is not None:  # a quoted carriage return is no end of a line of the file
+        raise TableFileError(
+            f"{name}: line {line}: column {shown(broken)}: a line end in its name; "
+            "expected a name in one line"
+        )
 
     def rows() -> Iterator[TableRow]:
         read = 0

@@ -60,6 +60,33 @@ def test_a_quotation_mark_costs_its_own_line_only(
         assert f"line {lost[0] + 2}: a quotation mark that is not closed in its line" in text
 
 
+@pytest.mark.parametrize(
+    ("heading", "complaint"),
+    [
+        (
+            '"com\nment"',
+            "no header line: a quotation mark that is not closed in its line; expected it",
+        ),
+        ('"com\r\nment"', "no header line: a quotation mark that is not closed in its line; exp"),
+        ('"comment', "no header line: a quotation mark that is not closed in its line; expected"),
+        ('"com\rment"', "column 'com\\rment': a line end in its name; expected a name in one line"),
+        ('"com\u2028ment"', "column 'com\\u2028ment': a line end in its name; expected a name in"),
+        ('"com" ment', "no header line: not CSV ("),
+    ],
+)
+@pytest.mark.parametrize("empty_lines", [0, 2])
+def test_a_name_of_a_column_stands_in_one_line(
+    tmp_path: Path, run: Run, heading: str, complaint: str, empty_lines: int
+) -> None:
+    path = commented(tmp_path, {})
+    text = "\n" * empty_lines + path.read_text().replace("comment", heading, 1)
+    path.write_bytes(text.encode())
+    said = run("import", path, "--mapping", mapping(tmp_path))[2]
+    assert f"run.csv: line {empty_lines + 1}: {complaint}" in said
+    assert said.count("expected") == 1
+    assert stored(tmp_path) == []
+
+
 def test_no_row_is_lost_in_silence_whatever_the_marks(tmp_path: Path, run: Run) -> None:
     dice = random.Random(7)
     for _ in range(8):
