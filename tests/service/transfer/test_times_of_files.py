@@ -89,6 +89,12 @@ def test_what_does_not_say_that_it_is_a_time_is_none(
     assert stored(tmp_path) == []
 
 
+def test_a_date_that_is_refused_is_shown_as_one(tmp_path: Path, run: Run) -> None:
+    day = datetime(2026, 3, 1, tzinfo=UTC).date()
+    text = run("import", parquet(tmp_path, pa.array([day])))[2]
+    assert "run.parquet: line 2: time = 2026-03-01: expected a time stamp with a time zone" in text
+
+
 @pytest.mark.parametrize(("unit", "per_s"), [("s", 1), ("ms", 10**3), ("us", 10**6), ("ns", 10**9)])
 @pytest.mark.parametrize("suffix", ["parquet", "csv"])
 def test_the_mapping_says_what_numbers_count(
