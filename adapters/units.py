@@ -5,6 +5,8 @@ import re
 import unicodedata
 from typing import Final, Protocol
 
+from adapters.words import shown
+
 # By our unit: the names that others give it or another unit, with scale and offset into ours.
 # "Â°C" is what readers make of a UTF-8 file that they take for a Western European one.
 _NAMES: Final = {
@@ -98,8 +100,29 @@ def factors_of(config: Scaled, ours: str, theirs: str) -> tuple[float, float]:
         return config.scale, config.offset
     found = into_unit(ours, theirs)
     if found is None:
-        raise UnitError(f"in {theirs!r}; expected {', '.join(units_for(ours))}")
+        raise UnitError(f"in {shown(theirs)}; expected {', '.join(units_for(ours))}")
     return found
+
+
+def conversion(config: Scaled, ours: str, theirs: str) -> str:
+    """What `factors_of` does to values, for a report: ``'kN' × 1000 -> N``; empty where nothing.
+
+    A configured scale says so, also one of 1 where the stated unit would have another.
+    """
+    factors = factors_of(config, ours, theirs)
+    if factors == (1.0, 0.0) and into_unit(ours, theirs) == factors:
+        return ""
+    scale, offset = factors
+    steps = [shown(theirs) if theirs.strip() else "value"]
+    if scale != 1.0 or not offset:
+        steps.append(f"× {scale:.10g}")
+    if offset:
+        steps.append(f"{'-' if offset < 0.0 else '+'} {abs(offset):.10g}")
+    if ours:
+        steps.append(f"-> {ours}")
+    if is_scaled(config):
+        steps.append("(scale and offset of the mapping)")
+    return " ".join(steps)
 
 
 def units_for(ours: str) -> tuple[str, ...]:

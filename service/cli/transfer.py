@@ -83,6 +83,7 @@ def import_(
             "too_old": report.too_old,
             "rejected": report.rejected,
             "errors": [{"line": one.line, "detail": one.detail} for one in report.first_rejected],
+            "conversions": report.conversions,
             "dry_run": dry_run,
         }
         typer.echo(json.dumps(document))
@@ -90,6 +91,8 @@ def import_(
         done = "would be stored" if dry_run else f"{report.stored} stored"
         known = "" if dry_run else f", {report.duplicates} already stored"
         typer.echo(f"{file.name}: {report.rows} rows, {report.samples} samples: {done}{known}.")
+        for conversion in report.conversions:
+            typer.echo(f"{file.name}: {conversion}")
     if report.too_old and store is not None:
         typer.echo(
             f"{file.name}: {report.too_old} samples are older than "

@@ -55,6 +55,7 @@ class ImportReport:
     - ``too_old``: samples from before the time from which the store keeps raw samples; not stored.
     - ``rejected``: how many rows or cells were not taken; `first_rejected` names the first of
       them.
+    - ``conversions``: what was done to the values of channels, one line for each.
     """
 
     rows: int = 0
@@ -64,6 +65,7 @@ class ImportReport:
     too_old: int = 0
     rejected: int = 0
     first_rejected: list[RejectedRow] = field(default_factory=list)
+    conversions: list[str] = field(default_factory=list)
 
     def reject(self, line: int, detail: str) -> None:
         """Count a row or cell that is not taken."""
@@ -114,6 +116,7 @@ def import_file(
         layout = layout_of(path.name, columns, plan, own_channels, units_stated(path))
         time_us_of = time_reader(path.name, layout, start_us)
         _check_whole(path.name, layout, rows)
+    report.conversions += layout.conversions
     with open_table(path, delimiter) as (_, rows):
         batch: list[_Numbered] = []
         for read, line, row in rows:
@@ -161,6 +164,9 @@ def _take_channel(
     """Store a block of an MDF file; lines are the numbers of the samples of its channel."""
     rows = zip(one.time_us.tolist(), one.values.tolist(), one.quality.tolist(), strict=True)
     batch: list[_Numbered] = []
+    conversion = f"{one.channel}: {one.conversion}"
+    if one.conversion and conversion not in report.conversions:
+        report.conversions.append(conversion)
     for number, (time_us, value, quality) in enumerate(rows, one.first):
         report.rows += 1
         try:

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from adapters.configuration import first_repeated
 from adapters.tables import RowError, TimeStamp, number_of
-from adapters.units import UnitError, factors_of, unit_in
+from adapters.units import UnitError, conversion, factors_of, unit_in
 from adapters.words import shown
 from service.clock import from_rfc3339
 from service.domain.channels import NODES, OPERATING_CHANNELS, RING_SENSORS, unit_of
@@ -92,12 +92,14 @@ class Layout:
     - ``channels``: columns by channel; empty for a file with one sample per row (``time, channel,
       value`` and perhaps ``quality`` and ``received``).
     - ``decimal``: what stands before the fraction of a number.
+    - ``conversions``: what is done to the values of channels, one line for each.
     """
 
     time: str
     unit: str | None
     channels: dict[str, ChannelColumn]
     decimal: str = "."
+    conversions: tuple[str, ...] = ()
 
 
 def read_mapping(path: Path) -> Mapping:
@@ -135,23 +137,26 @@ def layout_of(
     - ``units``: of columns, as the file states them beside their names.
     """
     layout = _layout(file, columns, mapping, own_channels)
-    channels = {
-        channel: _in_our_unit(file, channel, one, units.get(one.column, ""))
-        for channel, one in layout.channels.items()
-    }
-    return replace(layout, channels=channels)
+    channels, conversions = {}, []
+    for channel, one in layout.channels.items():
+        channels[channel], done = _in_our_unit(file, channel, one, units.get(one.column, ""))
+        conversions += [f"{channel}: {done}"] if done else []
+    return replace(layout, channels=channels, conversions=tuple(conversions))
 
 
-def _in_our_unit(file: str, channel: str, one: ChannelColumn, unit: str) -> ChannelColumn:
+def _in_our_unit(
+    file: str, channel: str, one: ChannelColumn, unit: str
+) -> tuple[ChannelColumn, str]:
     ours = unit_of(channel)
     unit = unit or unit_in(one.column, ours)
     try:
         scale, offset = factors_of(one, ours, unit)
+        done = conversion(one, ours, unit)
     except UnitError as error:
         raise TransferError(
             f"{file}: column {one.column!r} is {error} for {channel}, or a mapping with scale"
         ) from None
-    return one.model_copy(update={"scale": scale, "offset": offset})
+    return one.model_copy(update={"scale": scale, "offset": offset}), done
 
 
 def _layout(

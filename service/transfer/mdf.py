@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from adapters.configuration import first_repeated
 from adapters.samples import Quality
 from adapters.tables import TableFileError
-from adapters.units import UnitError, factors_of
+from adapters.units import UnitError, conversion, factors_of
 from adapters.words import shown
 from service.domain.channels import NODES, OPERATING_CHANNELS, RING_SENSORS, unit_of
 from service.transfer.errors import TransferError
@@ -71,6 +71,7 @@ class MdfChannel:
     - ``values``: (n,) in our unit; NaN where there is none.
     - ``quality``: (n,) OPC DA bytes.
     - ``read``: how much of the file has been read with it, from 0 to 1.
+    - ``conversion``: what was done to the values, in words; empty where nothing.
     """
 
     channel: str
@@ -79,6 +80,7 @@ class MdfChannel:
     values: NDArray[np.float64]
     quality: NDArray[np.int64]
     read: float
+    conversion: str
 
 
 def is_mdf(path: Path) -> bool:
@@ -331,7 +333,7 @@ def _as_samples(
     samples = np.asarray(signal.samples)
     if samples.ndim != 1 or samples.dtype.kind not in "fiub":
         raise TransferError(f"{file}: channel {shown(one.source.column)} holds no numbers")
-    scale, offset = _factors(file, one, str(signal.unit or ""))
+    scale, offset, done = _factors(file, one, str(signal.unit or ""))
     values = samples.astype(np.float64) * scale + offset
     invalid = np.zeros(values.size, bool)
     if signal.invalidation_bits is not None:
@@ -347,7 +349,7 @@ def _as_samples(
         judged = np.where(unsaid, int(Quality.BAD), judged)
         kept = np.ones(values.size, bool)
     values[invalid] = np.nan
-    return MdfChannel(one.channel, first, time_us[kept], values[kept], judged[kept], read)
+    return MdfChannel(one.channel, first, time_us[kept], values[kept], judged[kept], read, done)
 
 
 def _bytes(file: str, one: _Chosen, quality: NDArray[Any]) -> NDArray[np.int64]:
@@ -360,10 +362,11 @@ def _bytes(file: str, one: _Chosen, quality: NDArray[Any]) -> NDArray[np.int64]:
     return quality.astype(np.int64)
 
 
-def _factors(file: str, one: _Chosen, unit: str) -> tuple[float, float]:
-    """Scale and offset: as the mapping has them, else from the unit of the file."""
+def _factors(file: str, one: _Chosen, unit: str) -> tuple[float, float, str]:
+    """Scale and offset: as the mapping has them, else from the unit of the file; and in words."""
+    ours = unit_of(one.channel)
     try:
-        return factors_of(one.source, unit_of(one.channel), unit)
+        return *factors_of(one.source, ours, unit), conversion(one.source, ours, unit)
     except UnitError as error:
         raise TransferError(
             f"{file}: channel {shown(one.source.column)} is {error} for {one.channel}, or a "

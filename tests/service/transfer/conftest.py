@@ -21,10 +21,14 @@ CONFIG = (
 
 
 @pytest.fixture
-def run(tmp_path: Path) -> Run:
-    config = tmp_path / "c.toml"
-    config.write_text(CONFIG)
+def config(tmp_path: Path) -> Path:
+    path = tmp_path / "c.toml"
+    path.write_text(CONFIG)
+    return path
 
+
+@pytest.fixture
+def run(config: Path) -> Run:
     def run(*arguments: object) -> tuple[int, dict[str, Any], str]:
         texts = [str(one) for one in arguments]
         result = CliRunner().invoke(app, [*texts, "-c", str(config), "--asset", "a", "--json"])

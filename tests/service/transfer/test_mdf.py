@@ -213,6 +213,13 @@ def test_a_file_of_another_system_is_mapped_and_its_units_are_ours(
     )
     status, report, _ = run("import", path, "--mapping", mapping)
     assert (status, report["stored"]) == (0, 15)
+    assert report["conversions"] == [
+        "t_inner_ring_c: 'K' - 273.15 -> °C",
+        "load_n: 'kN' × 1000 -> N",
+        "speed_rpm: 'rad/s' × 9.549296586 -> rpm",
+        "ambient_c: '°F' × 0.5555555556 - 17.77777778 -> °C",
+        "t_node_5_c: 'ohm' × 2.5 - 250 -> °C (scale and offset of the mapping)",
+    ]
     zero_us = from_rfc3339("2026-03-01T12:00:00Z")
     rows = {(name, (time_us - zero_us) // 500_000): (value, quality)
             for name, time_us, value, quality in stored(tmp_path)}  # fmt: skip

@@ -5,6 +5,9 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from typer.testing import CliRunner
+
+from service.cli.main import app
 
 from .conftest import Run, stored
 
@@ -15,6 +18,12 @@ HEADINGS = {
     "t_inner_ring_c": ("Inner [°F]", 104.0, 40.0),
     "t_outer_ring_c": ("Outer (left)", 38.0, 38.0),
 }
+CONVERSIONS = [
+    "speed_rpm: '1/s' × 60 -> rpm",
+    "load_n: 'kN' × 1000 -> N",
+    "ambient_c: 'K' - 273.15 -> °C",
+    "t_inner_ring_c: '°F' × 0.5555555556 - 17.77777778 -> °C",
+]
 TIME = "2026-03-01T12:00:00Z"
 
 
@@ -30,7 +39,8 @@ def test_units_in_the_headings_of_a_csv_file(tmp_path: Path, run: Run) -> None:
     path = tmp_path / "run.csv"
     cells = ",".join(str(value) for _, value, _ in HEADINGS.values())
     path.write_text(f"time,{','.join(names.values())}\n{TIME},{cells}\n", encoding="utf-8")
-    assert run("import", path, "--mapping", mapping(tmp_path, names))[0] == 0
+    status, report, _ = run("import", path, "--mapping", mapping(tmp_path, names))
+    assert (status, report["conversions"]) == (0, CONVERSIONS)
     found = {name: value for name, _, value, _ in stored(tmp_path)}
     assert found == pytest.approx({name: ours for name, (_, _, ours) in HEADINGS.items()})
 
@@ -47,7 +57,9 @@ def test_a_scale_of_the_mapping_counts_and_a_strange_unit_is_refused(
     assert stored(tmp_path) == []
     names.pop("load_n")
     scaled = '[channels.load_n]\ncolumn = "Load [t]"\nscale = 9806.65\n'
-    assert run("import", path, "--mapping", mapping(tmp_path, names, scaled))[0] == 0
+    status, report, _ = run("import", path, "--mapping", mapping(tmp_path, names, scaled))
+    assert status == 0
+    assert "load_n: 't' × 9806.65 -> N (scale and offset of the mapping)" in report["conversions"]
     assert ("load_n", 19613.3) in {(name, value) for name, _, value, _ in stored(tmp_path)}
 
 
@@ -64,6 +76,27 @@ def test_units_in_the_metadata_of_parquet_columns(tmp_path: Path, run: Run) -> N
     table = pa.Table.from_arrays(columns, schema=pa.schema([time, *fields]))
     path = tmp_path / "run.parquet"
     pq.write_table(table, path)
-    assert run("import", path)[0] == 0
+    status, report, _ = run("import", path)
+    assert (status, report["conversions"]) == (0, [CONVERSIONS[1], CONVERSIONS[2]])
     found = {name: value for name, _, value, _ in stored(tmp_path)}
     assert found == pytest.approx({name: ours for name, (_, _, ours) in HEADINGS.items()})
+
+
+def test_a_unit_that_the_mapping_overrules_is_said(tmp_path: Path, run: Run) -> None:
+    names = {name: name for name in HEADINGS if name != "load_n"}
+    path = tmp_path / "run.csv"
+    path.write_text(f"time,{','.join(names)},Load [kN]\n{TIME},1500,21,40,38,2650\n")
+    scaled = '[channels.load_n]\ncolumn = "Load [kN]"\nscale = 1\n'
+    status, report, _ = run("import", path, "--mapping", mapping(tmp_path, names, scaled))
+    assert status == 0
+    assert report["conversions"] == ["load_n: 'kN' × 1 -> N (scale and offset of the mapping)"]
+
+
+def test_a_person_reads_one_line_for_each_conversion(tmp_path: Path, config: Path) -> None:
+    names = {channel: heading for channel, (heading, _, _) in HEADINGS.items()}
+    path = tmp_path / "run.csv"
+    cells = ",".join(str(value) for _, value, _ in HEADINGS.values())
+    path.write_text(f"time,{','.join(names.values())}\n{TIME},{cells}\n", encoding="utf-8")
+    options = ["--mapping", mapping(tmp_path, names), "--asset", "a", "-c", config, "--dry-run"]
+    result = CliRunner().invoke(app, ["import", *map(str, [path, *options])])
+    assert result.stdout.splitlines()[1:] == [f"run.csv: {one}" for one in CONVERSIONS]
