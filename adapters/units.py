@@ -34,6 +34,10 @@ _NAMES: Final = {
         ("lbf",): (4.4482216152605, 0.0),
     },
 }
+# What says that "(K)" behind it may be a type: NiCr-Ni is type K.
+_THERMOCOUPLE: Final = re.compile(
+    r"thermoco|thermoel|nicr|(?<![a-z])(?:t/?c|(?-i:TE)|type?)(?![a-z])", re.IGNORECASE
+)
 _IN_BRACKETS = re.compile(r"[\[(]([^\[\]()]*)[\])]\s*$")
 
 
@@ -59,6 +63,10 @@ def into_unit(ours: str, theirs: str) -> tuple[float, float] | None:
     if not theirs.strip() or ours not in _KNOWN:
         return 1.0, 0.0
     return _KNOWN[ours].get(_plain(theirs))
+
+
+#: What a channel needs where `kelvin_doubt` says something.
+KELVIN_OR_NOT: Final = "scale = 1 for °C, or offset = -273.15 for kelvin"
 
 
 class UnitError(ValueError):
@@ -143,3 +151,15 @@ def unit_in(heading: str, ours: str) -> str:
     if heading.rstrip().endswith(")") and not re.search("[°%]", text):
         return "" if text == "F" or into_unit(ours, text) is None else text
     return text
+
+
+def kelvin_doubt(config: Scaled, ours: str, heading: str) -> str:
+    """Say what ``(K)`` can be where the heading names a thermocouple: ``TC3 (K)``.
+
+    Empty where a scale or an offset is configured, or the heading leaves no doubt: ``[K]`` is one
+    of a unit.
+    """
+    is_lone = re.search(r"\(\s*k\s*\)\s*$", heading, re.IGNORECASE)
+    if ours != "°C" or is_scaled(config) or not is_lone or not _THERMOCOUPLE.search(heading):
+        return ""
+    return "(K) is kelvin or the type of a thermocouple"

@@ -13,7 +13,14 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from adapters.configuration import first_repeated
 from adapters.tables import RowError, TimeStamp, number_of
-from adapters.units import UnitError, conversion, factors_of, unit_in
+from adapters.units import (
+    KELVIN_OR_NOT,
+    UnitError,
+    conversion,
+    factors_of,
+    kelvin_doubt,
+    unit_in,
+)
 from adapters.words import shown
 from service.clock import from_rfc3339
 from service.domain.channels import NODES, OPERATING_CHANNELS, RING_SENSORS, unit_of
@@ -148,6 +155,12 @@ def _in_our_unit(
     file: str, channel: str, one: ChannelColumn, unit: str
 ) -> tuple[ChannelColumn, str]:
     ours = unit_of(channel)
+    doubt = "" if unit else kelvin_doubt(one, ours, one.column)
+    if doubt:
+        raise TransferError(
+            f"{file}: column {shown(one.column)} of {channel}: {doubt}; expected in the mapping "
+            f"{KELVIN_OR_NOT}"
+        )
     unit = unit or unit_in(one.column, ours)
     try:
         scale, offset = factors_of(one, ours, unit)

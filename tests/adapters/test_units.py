@@ -12,7 +12,7 @@ from adapters.drivers.replay.config import ReplayChannel, ReplaySource
 from adapters.drivers.replay.driver import check
 from adapters.protocol import ChannelBinding
 from adapters.samples import Quality
-from adapters.units import into_unit, unit_in
+from adapters.units import into_unit, kelvin_doubt, unit_in
 from service.domain.channels import unit_of
 
 DBC = """VERSION ""
@@ -131,6 +131,42 @@ def test_what_has_no_unit_of_ours_is_taken_as_it_is() -> None:
     assert into_unit("", "furlong") == (1.0, 0.0)
     assert into_unit("°C", " ") == (1.0, 0.0)
     assert into_unit("°C", "V") is None
+
+
+@pytest.mark.parametrize(
+    ("heading", "ours", "is_doubtful"),
+    [
+        ("TC3 (K)", "°C", True),
+        ("NiCr-Ni 4 (K)", "°C", True),
+        ("Thermoelement 2 (k)", "°C", True),
+        ("TC3 [K]", "°C", False),
+        ("TC3 (°C)", "°C", False),
+        ("TC3 (J)", "°C", False),
+        ("Temperature (K)", "°C", False),
+        ("Catch tank (K)", "°C", False),
+        ("Typical (K)", "°C", False),
+        ("TC3 (K)", "N", False),
+    ],
+)
+def test_a_type_of_thermocouple_may_look_like_a_unit(
+    heading: str, ours: str, is_doubtful: bool
+) -> None:
+    plain = ReplayChannel.model_validate({"source": "old", "column": heading})
+    scaled = ReplayChannel.model_validate({"source": "old", "column": heading, "scale": 1.0})
+    assert bool(kelvin_doubt(plain, ours, heading)) == is_doubtful
+    assert not kelvin_doubt(scaled, ours, heading)
+
+
+def test_a_replayed_column_of_a_thermocouple_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text("time_s,TC3 (K)\n0,240\n")
+    source = ReplaySource.model_validate({"name": "old", "file": path})
+    config = ReplayChannel.model_validate({"source": "old", "column": "TC3 (K)"})
+    wanted = (
+        r"column 'TC3 \(K\)': \(K\) is kelvin or the type of a thermocouple; expected"
+    )
+    with pytest.raises(ConfigurationError, match=wanted):
+        check(source, [ChannelBinding("a", "ambient_c", config, "°C")], [])
 
 
 def test_a_replayed_column_in_a_unit_of_another_quantity_is_refused(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from adapters.protocol import ChannelBinding, Clock, PlanBinding, SourceHealth
 from adapters.samples import Batch, Quality, Sample, is_good
 from adapters.tables import RowError, TableFileError, units_stated
 from adapters.times import EARLIEST_US, POSSIBLE, dated, is_possible
-from adapters.units import UnitError, factors_of, unit_in
+from adapters.units import KELVIN_OR_NOT, UnitError, factors_of, kelvin_doubt, unit_in
 
 if TYPE_CHECKING:
     import can
@@ -215,11 +215,14 @@ def _scaled(source: ReplaySource, channels: Sequence[ChannelBinding]) -> list[Ch
     for binding in channels:
         config = _config(binding)
         column = config.column or ""
+        where = f"channel {binding.asset}/{binding.channel}: column {column!r}"
+        doubt = "" if stated.get(column) else kelvin_doubt(config, binding.unit, column)
+        if doubt:
+            raise ConfigurationError(f"{where}: {doubt}; expected {KELVIN_OR_NOT}")
         unit = stated.get(column) or unit_in(column, binding.unit)
         try:
             factors = factors_of(config, binding.unit, unit)
         except UnitError as error:
-            where = f"channel {binding.asset}/{binding.channel}: column {column!r}"
             raise ConfigurationError(f"{where} is {error}, or scale") from None
         keys = {"scale": factors[0], "offset": factors[1]}
         found.append(dataclasses.replace(binding, config=config.model_copy(update=keys)))

@@ -92,6 +92,42 @@ def test_a_unit_that_the_mapping_overrules_is_said(tmp_path: Path, run: Run) -> 
     assert report["conversions"] == ["load_n: 'kN' × 1 -> N (scale and offset of the mapping)"]
 
 
+KELVIN_OR_TYPE = "(K) is kelvin or the type of a thermocouple; expected in the mapping "
+
+
+@pytest.mark.parametrize(
+    "heading", ["TC3 (K)", "T/C 3 (K)", "tc_inner (K)", "Thermocouple type K (K)", "Typ K (K) "]
+)
+def test_the_type_of_a_thermocouple_is_no_unit(tmp_path: Path, run: Run, heading: str) -> None:
+    names = {name: name for name in HEADINGS if name != "t_inner_ring_c"}
+    path = tmp_path / "run.csv"
+    path.write_text(f"time,{','.join(names.values())},{heading}\n{TIME},1500,2650,21,38,240\n")
+    ring = f'[channels.t_inner_ring_c]\ncolumn = "{heading.strip()}"\n'
+    text = run("import", path, "--mapping", mapping(tmp_path, names, ring))[2]
+    assert f"run.csv: column '{heading.strip()}' of t_inner_ring_c: {KELVIN_OR_TYPE}" in text
+    assert "expected in the mapping scale = 1 for °C, or offset = -273.15 for kelvin" in text
+    assert stored(tmp_path) == []
+    plan = mapping(tmp_path, names, ring + "scale = 1\n")
+    assert run("import", path, "--mapping", plan)[0] == 0
+    assert ("t_inner_ring_c", 240.0) in {(name, value) for name, _, value, _ in stored(tmp_path)}
+
+
+def test_the_metadata_of_a_column_settle_the_unit_of_a_thermocouple(
+    tmp_path: Path, run: Run
+) -> None:
+    time = pa.field("time", pa.timestamp("us", tz="UTC"))
+    names = {name: name for name in HEADINGS if name != "t_inner_ring_c"}
+    fields = [time, *(pa.field(name, pa.float64()) for name in names)]
+    fields += [pa.field("TC3 (K)", pa.float64(), metadata={b"unit": b"K"})]
+    columns = [pa.array([1_772_366_400_000_000], time.type)]
+    columns += [pa.array([value]) for value in (1500.0, 2650.0, 21.0, 38.0, 313.15)]
+    path = tmp_path / "run.parquet"
+    pq.write_table(pa.Table.from_arrays(columns, schema=pa.schema(fields)), path)
+    plan = mapping(tmp_path, names | {"t_inner_ring_c": "TC3 (K)"})
+    status, report, _ = run("import", path, "--mapping", plan)
+    assert (status, report["conversions"]) == (0, ["t_inner_ring_c: 'K' - 273.15 -> °C"])
+
+
 def test_a_person_reads_one_line_for_each_conversion(tmp_path: Path, config: Path) -> None:
     names = {channel: heading for channel, (heading, _, _) in HEADINGS.items()}
     path = tmp_path / "run.csv"
