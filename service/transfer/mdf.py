@@ -4,6 +4,7 @@ The quality byte of a channel stands in one beside it, ``NAME.quality``.
 """
 
 import contextlib
+import re
 import struct
 import sys
 from collections.abc import Iterator, Sequence
@@ -38,18 +39,20 @@ _AXES: Final = {1: _TIME, 2: "angle", 3: "distance", 4: "index"}
 _REMOTE_MASTER: Final = 8
 #: Microseconds in a unit; a sign for micro comes in two forms.
 _UNITS_US: Final = {
-    "": 1e6,
-    "s": 1e6,
-    "sec": 1e6,
-    "seconds": 1e6,
-    "ms": 1e3,
-    "us": 1.0,
-    "\N{MICRO SIGN}s": 1.0,
-    "\N{GREEK SMALL LETTER MU}s": 1.0,
-    "ns": 1e-3,
-    "min": 6e7,
-    "h": 3.6e9,
+    name: unit_us
+    for names, unit_us in (
+        (" s sec secs second seconds sekunde sekunden", 1e6),
+        ("ms msec msecs millisecond milliseconds millisekunden", 1e3),
+        ("us usec usecs microsecond microseconds mikrosekunden", 1.0),
+        ("\N{MICRO SIGN}s \N{MICRO SIGN}sec", 1.0),
+        ("\N{GREEK SMALL LETTER MU}s \N{GREEK SMALL LETTER MU}sec", 1.0),
+        ("ns nsec nsecs nanosecond nanoseconds nanosekunden", 1e-3),
+        ("min mins minute minutes minuten", 6e7),
+        ("h hour hours stunden", 3.6e9),
+    )
+    for name in names.split(" ")
 }
+_UNIT_IN_BRACKETS: Final = re.compile(r"\[(.*)\]|\((.*)\)")
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _BEGINNING: Final = b"MDF     "
 _UNFINISHED: Final = b"UnFinMF "
@@ -305,7 +308,7 @@ def _unit_of_times_us(file: str, one: _Chosen, mdf: Any) -> float:
     master = mdf.groups[number].channels[index]
     kind = _AXES.get(master.sync_type, "no time")
     unit = str(master.unit or (master.conversion and master.conversion.unit) or "")
-    unit_us = _UNITS_US.get(unit.strip())
+    unit_us = _unit_us(unit.strip())
     if kind != _TIME or unit_us is None:
         said = f"{kind} in {unit!r}" if unit else kind
         raise TransferError(
@@ -313,6 +316,14 @@ def _unit_of_times_us(file: str, one: _Chosen, mdf: Any) -> float:
             f"{shown(str(master.name))} ({said}); expected a time axis, in s, ms, us, ns, min or h"
         )
     return unit_us
+
+
+def _unit_us(unit: str) -> float | None:
+    """Microseconds in a unit as people write it: ``[ms]``, ``Sec``; None where it is none."""
+    found = _UNIT_IN_BRACKETS.fullmatch(unit)
+    text = (found[1] or found[2] or "").strip() if found else unit
+    # In the short names a capital is another unit or prefix: S, Ms.
+    return _UNITS_US.get(text.lower() if len(text) > 2 else text)
 
 
 def _microseconds(timestamps: Any, unit_us: float) -> NDArray[np.int64]:

@@ -162,9 +162,7 @@ def test_a_replayed_column_of_a_thermocouple_is_refused(tmp_path: Path) -> None:
     path.write_text("time_s,TC3 (K)\n0,240\n")
     source = ReplaySource.model_validate({"name": "old", "file": path})
     config = ReplayChannel.model_validate({"source": "old", "column": "TC3 (K)"})
-    wanted = (
-        r"column 'TC3 \(K\)': \(K\) is kelvin or the type of a thermocouple; expected"
-    )
+    wanted = r"column 'TC3 \(K\)': \(K\) is kelvin or the type of a thermocouple; expected"
     with pytest.raises(ConfigurationError, match=wanted):
         check(source, [ChannelBinding("a", "ambient_c", config, "°C")], [])
 

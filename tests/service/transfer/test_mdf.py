@@ -83,6 +83,9 @@ def of(**attributes: object) -> Callable[[Any], None]:
         (of(sync_type=3, name="way", unit="m"), "'way' (distance in 'm'); expected a time axis"),
         (of(sync_type=4, name="row", unit=""), "'row' (index); expected a time axis"),
         (of(unit="rev"), "(time in 'rev'); expected a time axis, in s"),
+        (of(unit="[Ms]"), "(time in '[Ms]'); expected a time axis, in s"),
+        (of(unit="[s"), "(time in '[s'); expected a time axis, in s"),
+        (of(unit="msec", sync_type=0), "(no time in 'msec'); expected a time axis, in s"),
         (of(channel_type=0, sync_type=0, name="n"), "is in group 0, which has no time axis"),
     ],
 )
@@ -98,13 +101,42 @@ def test_an_axis_that_is_no_time_stops_the_import(
 
 
 @pytest.mark.parametrize(
-    ("unit", "per_s"), [("s", 1.0), ("ms", 1e3), ("us", 1e6), ("µs", 1e6), ("min", 1 / 60)]
+    ("unit", "per_s"),
+    [
+        *((unit, 1.0) for unit in ("", "s", "sec", "Sec", "[s]", "(sec)", "second", "Sekunden")),
+        *((unit, 1e3) for unit in ("ms", "msec", "[ms]", " [ ms ] ", "milliseconds")),
+        *((unit, 1e6) for unit in ("us", "µs", "usec", "[µs]")),
+        *((unit, 1e9) for unit in ("ns", "nsec")),
+        ("min", 1 / 60),
+    ],
 )
 def test_the_unit_of_an_axis_counts(tmp_path: Path, run: Run, unit: str, per_s: float) -> None:
     path = axis(tmp_path, of(unit=unit), [0.0, 0.5 * per_s, 3.0 * per_s])
     assert run("import", path)[0] == 0
     noon_us = from_rfc3339("2026-03-01T12:00:00Z")
     assert [row[1] - noon_us for row in stored(tmp_path)] == [0, 500_000, 3_000_000]
+
+
+def test_the_axis_of_another_group_counts_with_its_unit(tmp_path: Path, run: Run) -> None:
+    """A remote master: the group has no axis, and names the group that has it."""
+    path = tmp_path / "remote.mf4"
+    times = np.array([0.0, 500.0, 3000.0])
+    with asammdf.MDF(version="4.20") as file:
+        file.header.start_time = datetime(2026, 3, 1, 12, tzinfo=UTC)
+        for name in ("t_inner_ring_c", "t_outer_ring_c"):
+            file.append([asammdf.Signal(40.0 + times / 1e3, times, unit="°C", name=name)])
+        file.groups[0].channels[0].unit = "ms"
+        group, column = file.groups[1].channel_group, file.groups[1].channels[0]
+        constants = asammdf.blocks.v4_constants
+        group.flags, group.cg_master_index = constants.FLAG_CG_REMOTE_MASTER, 0
+        group.block_len, group.links_nr = constants.CG_RM_BLOCK_SIZE, 7
+        of(channel_type=0, sync_type=0, name="speed_rpm", unit="rpm")(column)
+        file.save(path)
+    assert run("import", path)[0] == 0
+    noon_us = from_rfc3339("2026-03-01T12:00:00Z")
+    for channel in ("t_inner_ring_c", "t_outer_ring_c", "speed_rpm"):
+        found = [row[1] - noon_us for row in stored(tmp_path) if row[0] == channel]
+        assert found == [0, 500_000, 3_000_000]
 
 
 def test_times_that_cannot_be_are_refused_by_sample(tmp_path: Path, run: Run) -> None:
