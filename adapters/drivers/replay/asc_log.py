@@ -3,10 +3,31 @@
 import io
 import re
 from collections.abc import Iterator
+from datetime import datetime
 from pathlib import Path
-from typing import TextIO
+from typing import Final, TextIO
 
-_DATE = re.compile(r"date\s", re.IGNORECASE)
+from adapters.words import shown
+
+_DATE = re.compile(r"(date|begin\s+triggerblock)\s+(.*\S)", re.IGNORECASE)
+_MOMENT = re.compile(
+    r"(?:[^\W\d]+\.?,?\s+)?(?P<month>[^\W\d]+)\.?\s+(?P<day>[0-9]{1,2})\.?\s+"
+    r"(?P<hour>[0-9]{1,2}):(?P<minute>[0-9][0-9]):(?P<second>[0-9][0-9])(?:\.(?P<fraction>[0-9]+))?"
+    r"(?:\s*(?P<half>[ap])m)?\s+(?P<year>[0-9]{4})",
+    re.IGNORECASE,
+)
+_MONTHS: Final = (
+    *(("jan", "january", "januar"), ("feb", "february", "februar")),
+    *(("mar", "march", "mär", "mrz", "märz"), ("apr", "april"), ("may", "mai")),
+    *(("jun", "june", "juni"), ("jul", "july", "juli"), ("aug", "august")),
+    *(("sep", "sept", "september"), ("oct", "october", "okt", "oktober")),
+    *(("nov", "november"), ("dec", "december", "dez", "dezember")),
+)
+#: How the reader has them.
+_ENGLISH: Final = [names[0].capitalize() for names in _MONTHS]
+_EXPECTED_DATE: Final = "expected one such as 'Fri Mar 20 08:00:00.000 2026'"
+#: An earlier one is a year of two figures.
+_FIRST_YEAR: Final = 1970
 _BASE = re.compile(r"base\s", re.IGNORECASE)
 _KNOWN_BASE = re.compile(
     r"base\s+(hex|dec)(\s+timestamps\s+(absolute|relative))?\s*(//.*)?$", re.IGNORECASE
@@ -22,8 +43,9 @@ class AscText(io.TextIOBase):
     """The lines of a log.
 
     The reader takes whatever line it does not know for the end of the header, and as a part of it:
-    it gets date and base alone, and an end. A last line without its end may be a frame whose last
-    byte lacks a digit: it is left out unless it is whole.
+    it gets date and base alone, and an end. It passes over a date in a form that it does not know,
+    and over both behind the first frame: `ValueError` names such a line. A last line without its
+    end may be a frame whose last byte lacks a digit: it is left out unless it is whole.
 
     Attributes
     ----------
@@ -40,25 +62,75 @@ class AscText(io.TextIOBase):
         return next(self._lines)
 
     def _read(self, text: TextIO) -> Iterator[str]:
-        is_header, is_hex = True, True
+        is_header, base = True, ("hex", "absolute")
+        date: datetime | None = None
         for line in text:
             stripped = line.strip()
             if is_header and _BODY.match(stripped):
                 is_header = False
                 yield _END_OF_HEADER
-            if is_header:
-                if _BASE.match(stripped):
-                    if not _KNOWN_BASE.match(stripped):
-                        raise ValueError(f"{stripped!r}: expected base hex or dec")
-                    is_hex = "hex" in stripped.lower()
-                if _BASE.match(stripped) or _DATE.match(stripped):
+            if _BASE.match(stripped):
+                before, base = base, _base(stripped)
+                if is_header:
                     yield line
+                elif base != before:
+                    raise _too_late(stripped)
+                continue
+            stated = _DATE.match(stripped)
+            if stated is not None:
+                before_it, date = date, _moment(stated[2])
+                is_block = stated[1].lower() != "date"
+                if is_header or is_block:
+                    month = _ENGLISH[date.month - 1]
+                    yield f"{stated[1]} Day {month} {date:%d %H:%M:%S.%f %Y}\n"
+                elif date != before_it:
+                    raise _too_late(stripped)
+                continue
+            if is_header:
                 continue
             if not line.endswith("\n") and stripped[:1].isdigit():
-                self.is_cut = not (is_hex and _is_whole(stripped))
+                self.is_cut = not (base[0] == "hex" and _is_whole(stripped))
                 if self.is_cut:
                     return
             yield line
+
+
+def _base(line: str) -> tuple[str, str]:
+    """Base of the numbers, and what times count from. Raises `ValueError` for another one."""
+    found = _KNOWN_BASE.match(line)
+    if found is None:
+        raise ValueError(f"{shown(line)}: expected base hex or dec")
+    return found[1].lower(), (found[3] or "absolute").lower()
+
+
+def _moment(text: str) -> datetime:
+    """Read a date with an English or a German month. Raises `ValueError` where it is none."""
+    found = _MOMENT.fullmatch(text)
+    wrong = ValueError(f"{shown(text)} is no date; {_EXPECTED_DATE}")
+    if found is None:
+        raise wrong
+    month = found["month"].lower()
+    hour = int(found["hour"])
+    if found["half"] is not None:
+        if not 1 <= hour <= 12:
+            raise wrong
+        hour = hour % 12 + (12 if found["half"] in "pP" else 0)
+    try:
+        number = next(k for k, names in enumerate(_MONTHS, 1) if month in names)
+        microseconds = int(f"{found['fraction'] or '':0<6.6}")
+        date = datetime(
+            int(found["year"]), number, int(found["day"]), hour,
+            int(found["minute"]), int(found["second"]), microseconds,
+        )  # fmt: skip
+    except (StopIteration, ValueError):
+        raise wrong from None
+    if date.year < _FIRST_YEAR:
+        raise wrong
+    return date
+
+
+def _too_late(line: str) -> ValueError:
+    return ValueError(f"{shown(line)} behind the first frame; expected it before")
 
 
 def _is_whole(line: str) -> bool:
