@@ -297,3 +297,78 @@ async def test_a_file_that_is_damaged_further_on_has_ended_there(tmp_path: Path)
     assert health.errors == {"file": 1}
     assert "line 4: not CSV in UTF-8 (byte 0xff at 22)" in health.detail
     assert [one.value for one in samples] == [1.0, 2.0]
+
+
+DESCENDING = {
+    "time": [f"2026-03-01T12:00:{9 - k:02d}Z,{k}" for k in range(10)],
+    "time_s": [f"{100 - k},{k}" for k in range(10)],
+}
+
+
+@pytest.mark.parametrize("clock", ["time", "time_s"])
+async def test_a_table_with_the_latest_row_first_is_refused(tmp_path: Path, clock: str) -> None:
+    path = table(tmp_path, "\n".join([f"{clock},x", "soon,1", *DESCENDING[clock]]))
+    with pytest.raises(ConfigurationError, match=r"run.csv': times descend, from ") as refused:
+        await play(path, {"load_n": {"column": "x"}}, 2)
+    assert "; expected the earliest row first, or speed = 0" in str(refused.value)
+    assert "1970" not in str(refused.value)
+
+
+async def test_at_full_speed_the_order_of_rows_does_not_matter(tmp_path: Path) -> None:
+    path = table(tmp_path, "\n".join(["time,x", *DESCENDING["time"]]))
+    samples, _ = await played_to_its_end(path, speed=0.0)
+    assert [one.value for one in samples] == list(range(10))
+
+
+CHANNEL_X = {"load_n": {"column": "x"}}
+STRAY = "2029-06-01T00:00:00Z"
+
+
+@pytest.mark.parametrize(
+    "rows",
+    [
+        ["2026-03-01T12:00:00Z,1", f"{STRAY},9", "2026-03-01T12:00:01Z,2"],
+        ["2026-03-01T12:00:00Z,1", f"{STRAY},9", "soon,9", "2026-03-01T12:00:01Z,2"],
+        [f"{STRAY},9", "2026-03-01T12:00:00Z,1", "2026-03-01T12:00:01Z,2"],
+    ],
+)
+async def test_a_single_time_far_ahead_is_left_out(tmp_path: Path, rows: list[str]) -> None:
+    path = table(tmp_path, "\n".join(["time,x", *rows, "2026-03-01T12:00:02Z,3"]))
+    samples, health = await played_to_its_end(path)
+    assert [(one.time_us - START_US, one.value) for one in samples] == [
+        (0, 1.0), (1_000_000, 2.0), (2_000_000, 3.0)
+    ]  # fmt: skip
+    assert health.errors == {"row": sum("9" in row.rpartition(",")[2] for row in rows)}
+    stray = "2029-06-01T00:00:00+00:00 is far ahead of the rows beside it"
+    assert stray in health.detail or "soon" in health.detail
+
+
+async def test_all_samples_of_a_time_far_ahead_are_left_out(tmp_path: Path) -> None:
+    rows = ["0,load_n,1", "400000000,load_n,9", "400000000,speed,9", "1,load_n,2"]
+    path = table(tmp_path, "\n".join(["time_s,channel,value", *rows]))
+    samples, health = await watched(path, {"load_n": {"column": "load_n"}}, 2)
+    assert [(one.time_us - START_US, one.value) for one in samples] == [(0, 1.0), (1_000_000, 2.0)]
+    assert health.errors == {"row": 2}
+    assert "4e+08 s is far ahead of the rows beside it" in health.detail
+
+
+async def test_a_long_gap_is_played_and_said(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    rows = ["2026-03-01T12:00:00Z,1", "2026-03-01T14:59:00Z,2", "2026-03-03T14:59:00Z,3"]
+    path = table(tmp_path, "\n".join(["time,x", *rows, f"{STRAY},4"]))
+    with caplog.at_level("WARNING"):
+        samples, health = await watched(path, CHANNEL_X, 3)
+    assert [one.value for one in samples] == [1.0, 2.0, 3.0]
+    assert samples[2].time_us - samples[1].time_us == 48 * 3600 * 10**6
+    (said, beyond) = [one.getMessage() for one in caplog.records]
+    until = "2030-03-19T20:45:40+00:00"
+    assert f"48.0 h without a row, up to 2026-03-03T14:59:00+00:00: plays on at {until}" in said
+    assert "h without a row, up to 2029-06-01T00:00:00+00:00: plays on at 203" in beyond
+    assert health.detail.startswith("28449.0 h without a row")
+    with caplog.at_level("WARNING"):
+        _, health = await watched(path, CHANNEL_X, 4, speed=1e5)
+        assert health.detail == "ok"
+        caplog.clear()
+        await watched(table(tmp_path, "\n".join(["time,x", *rows])), CHANNEL_X, 3, speed=1e4)
+    assert caplog.records == []

@@ -4,7 +4,8 @@ import asyncio
 import dataclasses
 import logging
 from collections.abc import AsyncIterator, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from itertools import islice
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
@@ -14,7 +15,16 @@ from adapters.drivers.can.binding import bind
 from adapters.drivers.can.config import CanChannel, CanSource
 from adapters.drivers.replay.can_logs import open_log
 from adapters.drivers.replay.config import ReplayChannel, ReplaySource
-from adapters.drivers.replay.tables import open_recording
+from adapters.drivers.replay.order import (
+    GAP_S,
+    ROWS_LOOKED_AT,
+    SHORT_WAIT_S,
+    Found,
+    descent,
+    said,
+    without_strays,
+)
+from adapters.drivers.replay.tables import Recording, open_recording
 from adapters.protocol import ChannelBinding, Clock, PlanBinding, SourceHealth
 from adapters.samples import Batch, Quality, Sample, is_good
 from adapters.tables import RowError, TableFileError, units_stated
@@ -32,9 +42,6 @@ FAST_PAUSE_WALL_S = 0.05
 #: Rows that are left out in one go.
 FEW_ROWS = 200
 REPEAT_PAUSE_S = 1.0  # process seconds between the end and the next beginning
-
-Event = tuple[int, list[Sample]]
-Found = Event | RowError
 
 
 class ReplayDriver:
@@ -108,12 +115,22 @@ class ReplayDriver:
             logger.warning("source %s: left out: %s", self.name, error)
         self._health.detail = f"{count} rows left out, the latest: {error}"
 
+    def _say_gap(self, gap_s: float, time_us: int, due_us: int) -> None:
+        """Report that nothing will be played for a long time."""
+        self._health.detail = (
+            f"{gap_s / 3600.0:.1f} h without a row, up to {said(time_us)}: "
+            f"plays on at {dated(due_us)}"
+        )
+        logger.warning("source %s: %s", self.name, self._health.detail)
+
     async def _once(self) -> AsyncIterator[Batch]:
         speed = self._source.speed
         began_us, first_us = self._clock.now_us(), None
+        latest_us: int | None = None
         waiting: list[Sample] = []
         problem: ConfigurationError | None = None
-        with _events(self._source, self._channels, self._clock) as events:
+        with _events(self._source, self._channels, self._clock) as found:
+            events = found if speed == 0.0 else without_strays(found)
             while True:
                 try:
                     event = next(events, None)
@@ -137,15 +154,21 @@ class ReplayDriver:
                     continue
                 first_us = time_us if first_us is None else first_us
                 if time_us < first_us:  # it would be stamped before the play began
-                    await self._leave_out(RowError(f"{dated(time_us)} is before the first row"))
+                    await self._leave_out(RowError(f"{said(time_us)} is before the first row"))
                     continue
                 due_us = began_us + round((time_us - first_us) / speed)
                 ahead_s = (due_us - self._clock.now_us()) / 1e6
+                gap_s = 0.0 if latest_us is None else (time_us - latest_us) / 1e6
+                latest_us = time_us
                 if ahead_s > 0.0:
+                    before = self._health.detail
+                    if max(gap_s, ahead_s) > GAP_S and ahead_s > SHORT_WAIT_S:
+                        self._say_gap(gap_s, time_us, due_us)
                     if waiting:
                         yield Batch(waiting)
                         waiting = []
                     await self._clock.sleep(ahead_s)
+                    self._health.detail = before
                 waiting += [one._replace(time_us=due_us, received_us=due_us) for one in samples]
         if waiting:
             yield Batch(waiting)
@@ -192,6 +215,8 @@ def check(
         columns = recording.columns
         if source.speed == 0.0 and not recording.is_dated:
             raise _undated(source, "a column time")
+        if source.speed > 0.0:
+            _check_order(source, recording)
         for binding in channels:
             column = _config(binding).column or ""
             if columns is not None and column not in columns:
@@ -200,6 +225,21 @@ def check(
                     f"{source.file.name!r}; {suggestion(column, columns)}"
                 )
     _scaled(source, channels)
+
+
+def _check_order(source: ReplaySource, recording: Recording) -> None:
+    """Refuse a table of which a play would leave out all but the first row."""
+    times_us: list[int] = []
+    with suppress(ConfigurationError):  # it is played up to where it is damaged
+        for row in islice(recording.rows, ROWS_LOOKED_AT):
+            if not isinstance(row, RowError) and (row[0] >= EARLIEST_US or not recording.is_dated):
+                times_us.append(row[0])
+    found = descent(times_us)
+    if found is not None:
+        raise ConfigurationError(
+            f"source {source.name!r}: file {str(source.file)!r}: times descend, from "
+            f"{said(found[0])} to {said(found[1])}; expected the earliest row first, or speed = 0"
+        )
 
 
 def _scaled(source: ReplaySource, channels: Sequence[ChannelBinding]) -> list[ChannelBinding]:
