@@ -209,6 +209,33 @@ def test_a_message_that_cannot_be_read_for_certain_is_refused_by_name_where_it_i
     assert all(shown[name] != "no frame came" for name in names)
 
 
+RIGHT = 'BO_ 518 Right: 8 A\n SG_ T : 0|8@1+ (1,0) [0|0] "" A\nVAL_ 518 T 255 "error" ;\n'
+X = 'BO_ 4096 X: 8 A\n SG_ T : 0|8@1+ (1,0) [0|0] "" A\nVAL_ 4096 T 1 "a; \\"b\\"" ;\n'
+
+
+@pytest.mark.parametrize(
+    ("others", "flaw"),
+    [
+        (X, "its standard identifier 0x1000 has more than 11 bits"),
+        ('BO_ 513 X: 8 A\n SG_ T : 0|0@1+ (1,0) [0|0] "" A\n', "signal 'T' has no length"),
+        ('BO_ 513 X: 8 A\n SG_ T m1 : 8|0@1+ (1,0) [0|0] "" A\n', "signal 'T' has no length"),
+        ('VAL_ 518 Gone 0 "a;" 1 "b"\n 2 "c" ;\nVAL_ 999 Gone 0 "a" ;\n', ""),
+        ("SIG_VALTYPE_ 518 Gone : 1;\n", ""),
+        ('BA_ "Nowhere" BO_ 518 "VAL_ 518 T 1;";\n', ""),
+    ],
+)
+def test_a_flaw_of_what_no_channel_reads_refuses_nothing(
+    tmp_path: Path, others: str, flaw: str
+) -> None:
+    file = source(dbc=described(tmp_path, RIGHT + others))
+    (bound,) = bind(file, [channel("c", message="Right", signal="T")]).values()
+    assert bound.decode(bytes([61] * 8), 1)[0].value == 61.0
+    # What the file says of it otherwise is still there.
+    assert bound.decode(bytes([255, *[0] * 7]), 2)[0].quality == Quality.SENSOR_FAILURE
+    with pytest.raises(ConfigurationError, match=f"message 'X' .*{flaw}"):
+        bind(file, [channel("c", message="X", signal="T")])
+
+
 def test_each_message_of_a_large_file_is_examined_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

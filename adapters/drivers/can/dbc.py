@@ -10,18 +10,23 @@ from cantools.errors import Error as CantoolsError
 
 from adapters.configuration import ConfigurationError, suggestion
 from adapters.drivers.can.config import CanChannel, CanSource
+from adapters.drivers.can.dbc_text import readable
 from adapters.drivers.can.senders import group_mask, is_j1939
 from adapters.words import one_line
 
 Key = TypeVar("Key")
+_ENCODING = "cp1252"  # as the tools that write such files have it
 FrameKey = tuple[int, bool]  # identifier, extended or not
 
 
 class DbcFile:
     """The messages of a DBC file, found by name, by identifier and by J1939 group."""
 
-    def __init__(self, path: str, messages: Sequence[Message]) -> None:
+    def __init__(
+        self, path: str, messages: Sequence[Message], unreadable: Mapping[str, str]
+    ) -> None:
         self.path, self.messages = path, messages
+        self._unreadable = unreadable  # why, by name
         self._by_name = _grouped(messages, lambda message: message.name)
         self._by_key = _grouped(messages, frame_key)
         self._by_group = _grouped(filter(is_j1939, messages), _group)
@@ -30,6 +35,11 @@ class DbcFile:
     def message(self, config: CanChannel, where: str) -> Message:
         """Return the message of a channel. Raises `ConfigurationError` if none is usable."""
         named = self._by_name.get(config.message)
+        if named is None and config.message in self._unreadable:
+            raise ConfigurationError(
+                f"{where}: message {config.message!r} of {self.path!r}: "
+                + self._unreadable[config.message]
+            )
         if named is None:
             raise ConfigurationError(
                 f"{where}: message {config.message!r} is not in {self.path!r}; "
@@ -68,17 +78,27 @@ def load_dbc(source: CanSource) -> DbcFile:
     A message that contradicts itself refuses the file only where it is asked for.
     """
     where = f"source {source.name!r}: dbc {str(source.dbc)!r}"
+    flaws: Mapping[str, str] = {}
     try:
-        database = cantools.database.load_file(source.dbc, database_format="dbc", strict=False)
+        text = source.dbc.read_text(_ENCODING, errors="replace")
+        try:
+            database = _database(text)
+        except (CantoolsError, ValueError, KeyError):
+            text, flaws = readable(text)
+            database = _database(text)
     except OSError as error:
         raise ConfigurationError(f"{where} cannot be read: {error.strerror or error}") from None
-    except (CantoolsError, ValueError) as error:
+    except (CantoolsError, ValueError, KeyError) as error:
         raise ConfigurationError(
             f"{where} is not a valid DBC file: {one_line(error)[:200]}"
         ) from None
     if not isinstance(database, Database):
         raise ConfigurationError(f"{where} is not a CAN database")
-    return DbcFile(str(source.dbc), database.messages)
+    return DbcFile(str(source.dbc), database.messages, flaws)
+
+
+def _database(text: str) -> object:
+    return cantools.database.load_string(text, database_format="dbc", strict=False)
 
 
 def find_signal(message: Message, config: CanChannel, where: str) -> Signal:
