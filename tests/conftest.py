@@ -9,12 +9,13 @@ from collections.abc import Iterator
 
 import hypothesis
 import pytest
+from failure_report import pytest_runtest_makereport
 from leftovers import no_task_left, nothing_left
 from outside import pytest_runtest_call
 from programs import MISSING, commands_for
 from seconds import Seconds
 
-__all__ = ["no_task_left", "nothing_left", "pytest_runtest_call"]
+__all__ = ["no_task_left", "nothing_left", "pytest_runtest_call", "pytest_runtest_makereport"]
 
 # One thread of linear algebra in each worker: several workers share the cores, and threads that
 # spin while they wait took ten times the processor time. Programs that tests start have what a

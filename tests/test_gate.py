@@ -62,6 +62,22 @@ def test_what_passes_at_the_second_look_passes_and_is_named_unstable(tmp_path: P
     assert "the port was taken by a neighbour" in (tmp_path / kept).read_text()
 
 
+def test_a_failure_has_the_logs_of_its_programs_and_the_load_of_the_machine(
+    tmp_path: Path,
+) -> None:
+    suite = """
+def test_late(tmp_path):
+    (tmp_path / "serve.log").write_text("the port is taken")
+    assert False
+"""
+    paths = os.pathsep.join((str(ROOT), str(ROOT / "tests")))
+    options = {"PYTEST_ADDOPTS": "-p failure_report", "PYTHONPATH": paths}
+    status, lines = gate(tmp_path, suite, **options)
+    assert status == 1
+    assert "the port is taken" in lines
+    assert any("load" in line and "processors" in line for line in lines)
+
+
 def test_a_fixture_that_fails_first_gets_a_second_look(tmp_path: Path) -> None:
     suite = FAILS_FIRST + (
         "@pytest.fixture\ndef port(): fail_first('port', 1)\ndef test_port(port): pass\n"
