@@ -12,6 +12,7 @@ import pytest
 from failure_report import pytest_runtest_makereport
 from leftovers import no_task_left, nothing_left
 from outside import pytest_runtest_call
+from patience import patience, slowness
 from programs import MISSING, commands_for
 from seconds import Seconds
 
@@ -62,6 +63,23 @@ def pytest_configure(config: pytest.Config) -> None:
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     config.pluginmanager.register(Seconds())
+    slowness()  # measured before there are workers
+
+
+def pytest_report_header() -> str:
+    return f"waits: {slowness():g} times those of an ordinary machine"
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Give each test more time on a slow machine, by the factor of all waits."""
+    if slowness() > 1.0:
+        usual = config.getini("timeout")
+        for item in items:
+            own = item.get_closest_marker("timeout")
+            seconds = usual if own is None else own.args[0]
+            if seconds:
+                limit = pytest.mark.timeout(patience(float(seconds)))
+                item.add_marker(limit, append=False)
 
 
 def pytest_collection_finish() -> None:

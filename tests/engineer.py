@@ -11,6 +11,7 @@ import httpx2
 import pytest
 from bearing_twin_client import Client, ProblemError, ProfileStep, columns
 from bearing_twin_client.documents import JobDocument
+from patience import patience
 from processes import wait_until
 
 RINGS = ["t_inner_ring_c", "t_outer_ring_c"]
@@ -77,7 +78,7 @@ def run_the_examples(url: str, key: str) -> None:
             | {"PYTHONPATH": str(ROOT / "client"), "MPLBACKEND": "Agg"},
             capture_output=True,
             text=True,
-            timeout=PATIENCE_S,
+            timeout=patience(PATIENCE_S),
             check=False,
         )
         assert done.returncode == 0, done.stderr
@@ -101,7 +102,7 @@ def read_the_run(client: Client, url: str, key: str, asset: str) -> None:
             f"{url}/api/v1/assets/{asset}/measurements",
             params={"start": start.isoformat(), "end": end.isoformat(), "format": "csv"},
             headers={"X-API-Key": key},
-            timeout=PATIENCE_S,
+            timeout=patience(PATIENCE_S),
         )
         rows = list(client.measurements(asset, start=start, end=end))
         return len(rows) == len(whole.text.splitlines()) - 1 > PAGE_ROWS

@@ -21,6 +21,7 @@ import httpx2
 from aiomqtt import MqttError
 from faults.hall import Peer
 from faults.peers import State
+from patience import patience, wait_for
 from processes import Station, free_port, wait_until
 from programs import needed, node_package
 from pymodbus.client import ModbusTcpClient
@@ -121,7 +122,7 @@ class Faces(Station):
 
     def status_word(self) -> int | None:
         """The status register of the Modbus server."""
-        with ModbusTcpClient("127.0.0.1", port=self.modbus_port, timeout=ASK_S) as client:
+        with ModbusTcpClient("127.0.0.1", port=self.modbus_port, timeout=patience(ASK_S)) as client:
             answer = client.read_input_registers(2, count=1)
         return None if answer.isError() else int(answer.registers[0])
 
@@ -179,7 +180,7 @@ _LOST = (OSError, TimeoutError, MqttError, ModbusException, WebSocketException, 
 
 def _rest(site: Faces, face: Face) -> None:
     url = f"http://127.0.0.1:{site.port}/api/v1/assets/{ASSET}/snapshot"
-    with httpx2.Client(headers={"X-API-Key": site.key}, timeout=ASK_S) as client:
+    with httpx2.Client(headers={"X-API-Key": site.key}, timeout=patience(ASK_S)) as client:
         while not site.stop.wait(0.2):
             answer = client.get(url)
             answer.raise_for_status()
@@ -188,7 +189,9 @@ def _rest(site: Faces, face: Face) -> None:
 
 
 def _modbus(site: Faces, face: Face) -> None:
-    with ModbusTcpClient("127.0.0.1", port=site.modbus_port, timeout=ASK_S, retries=0) as client:
+    with ModbusTcpClient(
+        "127.0.0.1", port=site.modbus_port, timeout=patience(ASK_S), retries=0
+    ) as client:
         while not site.stop.wait(0.2):
             answer = client.read_input_registers(_FIRST_TAG, count=4)
             if answer.isError():
@@ -200,14 +203,14 @@ def _modbus(site: Faces, face: Face) -> None:
 
 def _mqtt(site: Faces, face: Face) -> None:
     async def follow() -> None:
-        async with MqttClient("127.0.0.1", site.mqtt_port, timeout=ASK_S) as client:
+        async with MqttClient("127.0.0.1", site.mqtt_port, timeout=patience(ASK_S)) as client:
             online = False
             await client.subscribe(f"bearing-twin/{ASSET}/{CHANNEL}", qos=1)
             await client.subscribe("bearing-twin/status", qos=1)
             messages = aiter(client.messages)
             while not site.stop.is_set():
                 try:
-                    message = await asyncio.wait_for(anext(messages), ASK_S)
+                    message = await wait_for(anext(messages), ASK_S)
                 except TimeoutError:
                     messages = aiter(client.messages)
                     continue

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from jumping import work
+from patience import within
 
 from adapters.samples import Sample
 from service.alarms import AlarmBook
@@ -149,7 +150,7 @@ def away(store_folder: Path, table: str) -> Iterator[None]:
 
 
 async def until(look: Callable[[], Any], timeout_s: float = 30.0) -> None:
-    async with asyncio.timeout(timeout_s):
+    async with within(timeout_s):
         while True:
             if look():
                 return

@@ -12,6 +12,7 @@ from collections.abc import AsyncIterator, Callable, Iterator
 from pathlib import Path
 
 import pytest
+from patience import patience
 from pytest_asyncio import is_async_test
 
 #: What ends needs a moment until the system has noted it.
@@ -77,7 +78,7 @@ def ports(of: set[str]) -> set[str]:
 
 def _gone(left: Callable[[], set[str]]) -> set[str]:
     """What is still left after some patience."""
-    deadline = time.monotonic() + PATIENCE_S
+    deadline = time.monotonic() + patience(PATIENCE_S)
     while (found := left()) and time.monotonic() < deadline:
         time.sleep(0.02)
     return found
@@ -86,7 +87,7 @@ def _gone(left: Callable[[], set[str]]) -> set[str]:
 @pytest.fixture
 async def no_task_left() -> AsyncIterator[None]:
     yield
-    deadline = time.monotonic() + PATIENCE_S
+    deadline = time.monotonic() + patience(PATIENCE_S)
     while len(asyncio.all_tasks()) > 1 and time.monotonic() < deadline:  # noqa: ASYNC110 - of tests
         await asyncio.sleep(0.01)
     left = asyncio.all_tasks() - {asyncio.current_task()}

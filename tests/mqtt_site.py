@@ -10,6 +10,7 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
+from patience import patience, within
 from processes import free_port, wait_until
 from programs import needed
 
@@ -47,14 +48,18 @@ class Broker:
     def permit(self, user: str) -> None:
         """Let a user in, at once if the broker runs."""
         subprocess.run(
-            ["mosquitto_passwd", "-b", self._passwords, user, "secret"], check=True, timeout=20
+            ["mosquitto_passwd", "-b", self._passwords, user, "secret"],
+            check=True,
+            timeout=patience(20),
         )
         if self._process is not None:
             self._process.send_signal(signal.SIGHUP)
 
     def forbid(self, user: str) -> None:
         """Let a user in no more when the broker starts the next time."""
-        subprocess.run(["mosquitto_passwd", "-D", self._passwords, user], check=True, timeout=20)
+        subprocess.run(
+            ["mosquitto_passwd", "-D", self._passwords, user], check=True, timeout=patience(20)
+        )
 
     def start(self) -> None:
         with self._log.open("ab") as log:
@@ -110,7 +115,7 @@ class Listener:
     async def all_until(self, *topics: str) -> dict[str, tuple[str, bool]]:
         """What is heard until there was something on each of these topics."""
         heard: dict[str, tuple[str, bool]] = {}
-        async with asyncio.timeout(PATIENCE_S):
+        async with within(PATIENCE_S):
             while not heard.keys() >= set(topics):
                 message = await anext(self._messages)
                 topic = str(message.topic).removeprefix("works/hall-2/")
@@ -119,7 +124,7 @@ class Listener:
 
     async def hear(self, topic: str, payload: Any = ...) -> tuple[Any, bool]:
         """Wait for a payload on a topic; gives it and whether it was retained."""
-        async with asyncio.timeout(PATIENCE_S):
+        async with within(PATIENCE_S):
             while True:
                 message = await anext(self._messages)
                 text = bytes(message.payload).decode()
@@ -130,7 +135,7 @@ class Listener:
     async def order_until(self, topic: str, payload: str) -> list[tuple[str, Any]]:
         """All that is heard, topic and payload, up to this one."""
         heard: list[tuple[str, Any]] = []
-        async with asyncio.timeout(PATIENCE_S):
+        async with within(PATIENCE_S):
             while (topic, payload) not in heard:
                 message = await anext(self._messages)
                 text = bytes(message.payload).decode()
@@ -149,7 +154,7 @@ class Listener:
 @asynccontextmanager
 async def listening(broker: Broker) -> AsyncIterator[Listener]:
     async with MqttClient(
-        "127.0.0.1", broker.port, username="ear", password="secret", timeout=PATIENCE_S
+        "127.0.0.1", broker.port, username="ear", password="secret", timeout=patience(PATIENCE_S)
     ) as client:
         await client.subscribe("works/#", qos=1)
         yield Listener(client)
@@ -158,7 +163,7 @@ async def listening(broker: Broker) -> AsyncIterator[Listener]:
 async def retained(broker: Broker) -> dict[str, Any]:
     """What the broker keeps, by topic: a client that comes now is sent it before all else."""
     async with MqttClient(
-        "127.0.0.1", broker.port, username="ear", password="secret", timeout=PATIENCE_S
+        "127.0.0.1", broker.port, username="ear", password="secret", timeout=patience(PATIENCE_S)
     ) as client:
         await client.subscribe("works/#", qos=1)
         await client.publish("works/last", b"", qos=1)

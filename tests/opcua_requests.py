@@ -1,10 +1,10 @@
 """Requests to an OPC UA server as they are on the line, past what the library's client adds."""
 
-import asyncio
 from typing import Any
 
 from asyncua import Client, ua
 from asyncua.ua.ua_binary import struct_from_binary
+from patience import within
 
 PATIENCE_S = 60.0
 
@@ -92,7 +92,7 @@ def publish(*acknowledged: tuple[int, int]) -> ua.PublishRequest:
 
 async def next_notifications(client: Client) -> tuple[list[Any], bool]:
     """Give the changes of the next message that has any, and whether more are waiting."""
-    async with asyncio.timeout(PATIENCE_S):
+    async with within(PATIENCE_S):
         while True:
             answer = (await ask(client, publish())).Parameters
             if answer.NotificationMessage.NotificationData:

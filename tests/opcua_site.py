@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 from asyncua import Client, ua
 from asyncua.crypto.cert_gen import setup_self_signed_certificate
 from cryptography.x509.oid import ExtendedKeyUsageOID
+from patience import patience
 from processes import free_port, wait_until
 
 from adapters.samples import Quality, Sample
@@ -153,7 +154,7 @@ async def read(client: Client, name: str) -> ua.DataValue:
 
 async def make_client(address: str, key: str | None = None, encrypted: bool = False) -> Client:
     """Make a client with a key as password, and a certificate of its own where it encrypts."""
-    client = Client(address, timeout=30)
+    client = Client(address, timeout=patience(30))
     if key is not None:
         client.set_user("scada")
         client.set_password(key)

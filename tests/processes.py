@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, Self, TypeVar
 
 import httpx2
+from patience import patience
 
 from service.clock import ProcessClock, rfc3339
 from service.demo.configuration import ASSET, write_configuration
@@ -64,6 +65,7 @@ def wait_until(
     look: Callable[[], Found | None], timeout_s: float, what: str, every_s: float = 0.1
 ) -> Found:
     """Wait for something that is neither None nor False; fail when it does not come."""
+    timeout_s = patience(timeout_s)
     deadline = time.monotonic() + timeout_s
     while True:
         found = look()
@@ -191,7 +193,10 @@ class Station:
         self.key = self.key_of("admin")
         self.service: Command | None = None
         self.client = httpx2.Client(
-            base_url=self.address, headers={"X-API-Key": self.key}, timeout=60, limits=LIMITS
+            base_url=self.address,
+            headers={"X-API-Key": self.key},
+            timeout=patience(60),
+            limits=LIMITS,
         )
 
     def __enter__(self) -> Self:
@@ -242,7 +247,9 @@ class Station:
     ) -> Iterator[Callable[[], None]]:
         """Push again and again, whatever becomes of it; gives what ends that."""
         stop = threading.Event()
-        gateway = httpx2.Client(base_url=self.address, headers=self.client.headers, timeout=3.0)
+        gateway = httpx2.Client(
+            base_url=self.address, headers=self.client.headers, timeout=patience(3.0)
+        )
 
         def work() -> None:
             while not stop.wait(every_s):

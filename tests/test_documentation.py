@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from patience import patience
 
 ROOT = Path(__file__).parent.parent
 
@@ -15,7 +16,9 @@ def build(docs: Path, out: Path) -> subprocess.CompletedProcess[str]:
     """Build as `make docs` does; ``docs`` lies beside the other folders of a checkout."""
     options = ["--builder", "html", "--fail-on-warning", "--keep-going", "--quiet"]
     command = [sys.executable, "-m", "sphinx", *options, str(docs), str(out)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
+    return subprocess.run(
+        command, capture_output=True, text=True, timeout=patience(240), check=False
+    )
 
 
 @pytest.fixture

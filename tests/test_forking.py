@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from forking import Commands
+from patience import patience
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +38,7 @@ def test_output_errors_and_status_are_those_of_a_fresh_interpreter(
         cwd=tmp_path,
         capture_output=True,
         text=True,
-        timeout=180,
+        timeout=patience(180),
         check=False,
     )
     assert forked.returncode == fresh.returncode == status

@@ -8,6 +8,7 @@ from threading import Thread
 import anyio.to_thread
 import pytest
 from jumping import JumpingLoop, LoopClock, seen_threads, work
+from patience import within
 
 __all__ = ["seen_threads"]
 
@@ -56,7 +57,7 @@ def test_no_time_out_passes_while_a_thread_works(way: str) -> None:
             time.sleep(0.2)
             return "done"
 
-        async with asyncio.timeout(60.0):
+        async with within(60.0):
             if way == "asyncio":
                 return await asyncio.to_thread(compute)
             if way == "anyio":
@@ -77,7 +78,7 @@ def test_no_time_out_passes_while_a_socket_may_answer() -> None:
         with ours, theirs:
             thread = Thread(target=lambda: (time.sleep(0.2), theirs.send(b"late")))
             thread.start()
-            async with asyncio.timeout(60.0):
+            async with within(60.0):
                 received = await asyncio.get_running_loop().sock_recv(ours, 4)
             thread.join()
             return received

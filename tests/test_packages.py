@@ -14,6 +14,7 @@ import pytest
 import yaml
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
+from patience import patience
 
 from service import __version__
 from tools.bill_of_materials import BILL, LOCK, SHIPPED, documents, locked
@@ -33,7 +34,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def build(folder: Path, out: Path) -> None:
     command = [sys.executable, "-m", "hatchling", "build", "--directory", str(out)]
     ran = subprocess.run(
-        command, cwd=folder, capture_output=True, text=True, timeout=240, check=False
+        command, cwd=folder, capture_output=True, text=True, timeout=patience(240), check=False
     )
     assert ran.returncode == 0, ran.stderr
 
@@ -56,7 +57,7 @@ def bearing_twin(
         env=os.environ | {"PYTHONPATH": os.pathsep.join(map(str, installed))},
         capture_output=True,
         text=True,
-        timeout=240,
+        timeout=patience(240),
         check=False,
     )
 
@@ -192,7 +193,7 @@ def test_both_are_rebuilt_to_the_same_bytes(built: Path, sources: Path, tmp_path
     for number, file in enumerate(sources.rglob("*")):
         os.utime(file, (number, number))
     command = [sys.executable, "-m", "hatchling", "build", "--directory", str(tmp_path)]
-    subprocess.run(command, cwd=sources, capture_output=True, timeout=240, check=True)
+    subprocess.run(command, cwd=sources, capture_output=True, timeout=patience(240), check=True)
     first, again = sorted(built.iterdir()), sorted(tmp_path.iterdir())
     assert [file.name for file in first] == [file.name for file in again]
     assert len(first) == 2

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from patience import patience
 from programs import commands_for
 
 SUITE = """
@@ -37,8 +38,8 @@ def test_what_is_missing_is_named_once_with_the_command_that_installs_it(
             "-p", "no:cacheprovider", "-o", f"pythonpath={Path(__file__).parent}",
             "--numprocesses=1", str(tmp_path),
         ],
-        cwd=tmp_path, env=os.environ | {"CI": ci}, capture_output=True, text=True, timeout=120,
-        check=False,
+        cwd=tmp_path, env=os.environ | {"CI": ci}, capture_output=True, text=True, check=False,
+        timeout=patience(120),
     )  # fmt: skip
     lines = run.stdout.splitlines()
     assert run.returncode == status, run.stdout + run.stderr

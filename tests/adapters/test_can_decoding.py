@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 from cantools.database.can import Message
+from patience import patience
 
 from adapters.configuration import ConfigurationError
 from adapters.drivers.can.binding import bind, check
@@ -331,6 +332,10 @@ def test_the_library_does_not_load_what_no_driver_needs() -> None:
     """python-can would load asammdf, and that pandas: 60 MiB in every process of a service."""
     program = "import sys, adapters.drivers.can.driver; print('pandas' in sys.modules)"
     told = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=True
+        [sys.executable, "-c", program],
+        capture_output=True,
+        text=True,
+        timeout=patience(60),
+        check=True,
     )
     assert told.stdout == "False\n"

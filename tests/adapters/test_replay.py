@@ -13,6 +13,7 @@ import can
 import pyarrow as pa
 import pyarrow.parquet as parquet
 import pytest
+from patience import within
 
 from adapters.configuration import ConfigurationError
 from adapters.protocol import ChannelBinding, SourceHealth
@@ -78,7 +79,7 @@ async def played_to_its_end(path: Path, **keys: Any) -> tuple[list[Sample], Sour
 
         before = driver.health().detail
         playing = asyncio.create_task(play_on())
-        async with asyncio.timeout(60.0):
+        async with within(60.0):
             while driver.health().up or driver.health().detail == before:  # noqa: ASYNC110
                 await asyncio.sleep(0.01)
         assert not playing.done()

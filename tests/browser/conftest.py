@@ -6,6 +6,7 @@ from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
+from patience import patience
 from playwright.sync_api import (
     Browser,
     BrowserContext,
@@ -21,7 +22,7 @@ from tests.browser.plant import Plant
 
 WAIT_MS = 60_000  # on a busy machine a service takes its time
 
-expect.set_options(timeout=WAIT_MS)
+expect.set_options(timeout=patience(WAIT_MS))
 
 
 # Per module, not per session: Playwright's event loop must be gone before asynchronous tests run.

@@ -9,6 +9,7 @@ from importlib.resources import files
 from pathlib import Path
 
 import pytest
+from patience import patience
 from playwright.sync_api import BrowserContext, Locator, Page, Route, expect
 from processes import wait_until
 
@@ -298,11 +299,11 @@ def test_what_was_refused_of_an_asset_is_asked_for_again(screen: Screen, hall: H
     asked = "**/axle-1/verdict"
     page.route(asked, lambda route: route.fulfill(status=503, json={"title": "not yet"}))
     hall.put("axle-1")
-    with page.expect_response(asked, timeout=WAIT_MS) as refused:
+    with page.expect_response(asked, timeout=patience(WAIT_MS)) as refused:
         row(page, "axle-1").get_by_role("link").click()
     assert refused.value.status == 503
     page.unroute(asked)
-    with page.expect_response(asked, timeout=WAIT_MS) as answered:
+    with page.expect_response(asked, timeout=patience(WAIT_MS)) as answered:
         pass
     assert answered.value.ok
 

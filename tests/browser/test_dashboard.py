@@ -4,6 +4,7 @@ import re
 from collections.abc import Iterator
 
 import pytest
+from patience import patience
 from playwright.sync_api import BrowserContext, ConsoleMessage, Page, Response, expect
 
 from service.security.keys import create_key
@@ -17,7 +18,7 @@ WAIT_MS = 60_000  # on a busy machine a service takes its time to start
 #: What the browser logs of a service that is gone, or that starts and answers 503.
 BROKEN = r"WebSocket|ERR_CONNECTION|ERR_INCOMPLETE_CHUNKED_ENCODING|status of 503"
 
-expect.set_options(timeout=WAIT_MS)
+expect.set_options(timeout=patience(WAIT_MS))
 
 
 @pytest.fixture(scope="module")

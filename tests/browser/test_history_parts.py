@@ -3,6 +3,7 @@
 from urllib.parse import parse_qs, urlsplit
 
 import pytest
+from patience import patience
 from playwright.sync_api import Page, Route
 
 from tests.browser.test_dashboard_parts import run
@@ -233,7 +234,8 @@ def test_limits_follow_the_pointer_from_line_to_line(parts: Page) -> None:
         parts.evaluate("texts.length = 0")
         parts.mouse.move(x, y)
         parts.wait_for_function(
-            f"texts.some(({{ text }}) => text.startsWith('{wanted} alarm'))", timeout=10_000
+            f"texts.some(({{ text }}) => text.startsWith('{wanted} alarm'))",
+            timeout=patience(10_000),
         )
 
 

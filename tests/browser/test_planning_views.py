@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from patience import patience
 from playwright.sync_api import (
     BrowserContext,
     ConsoleMessage,
@@ -38,7 +39,7 @@ HISTORY = (
     (3600.0, 2000.0, 60),
 )  # fmt: skip
 
-expect.set_options(timeout=WAIT_MS)
+expect.set_options(timeout=patience(WAIT_MS))
 
 
 def write_history(path: Path) -> float:

@@ -6,6 +6,7 @@ from typing import NamedTuple
 from urllib.parse import urlsplit
 
 import pytest
+from patience import patience
 from playwright.sync_api import BrowserContext, Page, expect
 
 from tests.browser.line import Line, running_line
@@ -68,8 +69,8 @@ def lose_and_return(page: Page, line: Line) -> None:
     """Hold the line: the page says that it is lost, for however short a time, and is back."""
     page.evaluate(SEEN)
     line.hold(new_ones=False)
-    page.wait_for_function(f"() => window.seen.includes('{LOST}')", timeout=SOON)
-    expect(page.locator("#lost")).to_be_empty(timeout=SOON)
+    page.wait_for_function(f"() => window.seen.includes('{LOST}')", timeout=patience(SOON))
+    expect(page.locator("#lost")).to_be_empty(timeout=patience(SOON))
 
 
 def test_a_stream_that_falls_silent_is_no_live_page(screen: Screen) -> None:
@@ -77,7 +78,7 @@ def test_a_stream_that_falls_silent_is_no_live_page(screen: Screen) -> None:
     page, line = screen
     line.hold(new_ones=True)
     held_ms = page.evaluate("Date.now()")
-    expect(page.locator("#lost")).to_contain_text(LOST, timeout=SOON)
+    expect(page.locator("#lost")).to_contain_text(LOST, timeout=patience(SOON))
     expect(page.locator(NOW)).to_have_text("Unknown")
     expect(page.locator("#banner")).to_contain_text(re.compile("Alarms unknown|LAST KNOWN"))
     # All ages count from the last message, which came a moment before.
@@ -88,7 +89,7 @@ def test_a_stream_that_falls_silent_is_no_live_page(screen: Screen) -> None:
     shown = page.locator("#lost time").get_attribute("title")
     line.hold(new_ones=False)
     page.locator("#lost").get_by_role("button", name="Retry now").click()
-    expect(page.locator("#lost")).to_be_empty(timeout=SOON)
+    expect(page.locator("#lost")).to_be_empty(timeout=patience(SOON))
     expect(page.locator(NOW)).to_have_text(SAFE)
     assert shown
 
@@ -106,8 +107,8 @@ def test_after_a_sleep_the_values_before_it_are_not_current(screen: Screen) -> N
     line.hold(new_ones=True)
     page.evaluate(SLEEP, 600_000)
     # The verdict is 10 minutes old in the same moment, before the line is looked at.
-    expect(page.locator(NOW)).to_have_text("Unknown", timeout=2_000)
-    expect(page.locator("#lost")).to_contain_text(LOST, timeout=3_000)
+    expect(page.locator(NOW)).to_have_text("Unknown", timeout=patience(2_000))
+    expect(page.locator("#lost")).to_contain_text(LOST, timeout=patience(3_000))
     assert age_s(page) >= 600
     expect(page.locator(".clock")).to_have_text(re.compile("10 min .* old"))
 
@@ -117,7 +118,7 @@ def test_a_page_of_the_version_before_loads_again(screen: Screen) -> None:
     page, line = screen
     page.evaluate(UPDATED)
     line.hold(new_ones=False)
-    page.wait_for_function("() => window.before === undefined", timeout=60_000)
+    page.wait_for_function("() => window.before === undefined", timeout=patience(60_000))
     expect(page.locator(NOW)).to_have_text(SAFE)
     assert page.url.endswith(f"#operator/{BEARING}")
 
@@ -169,7 +170,7 @@ def test_a_page_that_waits_to_try_again_tries_when_it_is_looked_at(
 ) -> None:
     page, line = screen
     line.hold(new_ones=True)
-    expect(page.locator("#lost")).to_contain_text("next try in", timeout=60_000)
+    expect(page.locator("#lost")).to_contain_text("next try in", timeout=patience(60_000))
     line.hold(new_ones=False)
     page.evaluate("document.dispatchEvent(new Event('visibilitychange'))")
-    expect(page.locator("#lost")).to_be_empty(timeout=SOON)
+    expect(page.locator("#lost")).to_be_empty(timeout=patience(SOON))

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import httpx2
 from faults.peers import State
+from patience import patience
 from processes import Command, Station, free_port, wait_until
 from site_files import OBSERVE, asset_text, write_site
 
@@ -123,7 +124,7 @@ class Pusher:
     def _run(self) -> None:
         last_ms = 0
         headers = {"X-API-Key": self._key}
-        with httpx2.Client(base_url=self._address, headers=headers, timeout=30) as client:
+        with httpx2.Client(base_url=self._address, headers=headers, timeout=patience(30)) as client:
             while not self._stop.wait(0.02):
                 first_ms = round(self._now_s() * 1000)
                 if last_ms - 1000 < first_ms <= last_ms:  # else the clock was set back
@@ -338,7 +339,9 @@ class Hall(Station):
 
 def lock_store(file: Path) -> Callable[[], None]:
     """Take the right to write away from everybody; returns what gives it back."""
-    intruder = sqlite3.connect(file, isolation_level=None, check_same_thread=False, timeout=30)
+    intruder = sqlite3.connect(
+        file, isolation_level=None, check_same_thread=False, timeout=patience(30)
+    )
     intruder.execute("BEGIN EXCLUSIVE")
 
     def release() -> None:

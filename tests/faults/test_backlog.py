@@ -16,6 +16,7 @@ from typing import Any
 import httpx2
 import pytest
 from faults.hall import Outcome
+from patience import patience
 from processes import Station, wait_until
 from site_files import CHANNELS, OBSERVE, asset_text, write_site
 
@@ -47,7 +48,9 @@ class LiveGateway:
         self.ages_s: list[float] = []
         self.answered_s: list[float] = []
         self.answers: list[tuple[int, Any]] = []  # by the time of the samples in us
-        self._client = httpx2.Client(base_url=address, headers={"X-API-Key": key}, timeout=120)
+        self._client = httpx2.Client(
+            base_url=address, headers={"X-API-Key": key}, timeout=patience(120)
+        )
         self._stop = threading.Event()
         self._threads = [threading.Thread(target=work) for work in (self._push, self._look)]
 
@@ -107,7 +110,9 @@ def samples(times_s: Sequence[float]) -> list[dict[str, Any]]:
 
 def stored_times_us(station: Station, asset: str, begin_s: int, end_s: int) -> list[int]:
     """Times of the samples of all channels of an asset."""
-    with closing(sqlite3.connect(station.folder / "data" / FILE_NAME, timeout=60)) as store:
+    with closing(
+        sqlite3.connect(station.folder / "data" / FILE_NAME, timeout=patience(60))
+    ) as store:
         query = (
             "SELECT time_us FROM samples JOIN channels ON channels.id = channel_id "
             "WHERE asset = ? AND time_us >= ? AND time_us < ?"
@@ -131,7 +136,7 @@ def send(station: Station, late: Late, stored: Callable[[Late], int]) -> None:
     """Send a portion until it is acknowledged; what is answered 503 must not be in the store."""
     address = f"/api/v1/assets/{late.asset}/measurements"
     headers = {"X-API-Key": station.key, "Content-Type": "application/json"}
-    with httpx2.Client(base_url=station.address, headers=headers, timeout=120) as client:
+    with httpx2.Client(base_url=station.address, headers=headers, timeout=patience(120)) as client:
         while True:
             began = time.monotonic()
             answer = client.post(address, content=late.body)

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from patience import patience, wait_for
 from programs import missing
 
 from bearing_twin_laboratory.fleet_demo.site import BASE, PUSHED_CHANNEL
@@ -55,11 +56,11 @@ async def _fail_over(stand: Stand) -> None:
     assert (await _store_check(stand))[0] == "degraded"
 
     confirm = [sys.executable, "-m", "service", "db", "confirm", "-c", str(stand.configuration)]
-    await asyncio.to_thread(subprocess.run, confirm, check=True, timeout=PATIENCE_S)
+    await asyncio.to_thread(subprocess.run, confirm, check=True, timeout=patience(PATIENCE_S))
     await _until_store(stand, "ok", "")
     await _until_all_pushed(stand)
     stand.pusher.stop()
-    await asyncio.wait_for(stand.pushing, PATIENCE_S)
+    await wait_for(stand.pushing, PATIENCE_S)
     wanted = {
         asset: numbers[since[asset] :] for asset, numbers in stand.pusher.acknowledged.items()
     }

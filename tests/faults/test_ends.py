@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from patience import patience
 from processes import Station, wait_until
 from site_files import asset_text, write_site
 
@@ -59,6 +60,6 @@ def test_ctrl_c_in_the_first_seconds_leaves_no_traceback(station: Station, after
     )
     time.sleep(after_s)
     os.killpg(process.pid, signal.SIGINT)
-    _, said = process.communicate(timeout=60)
+    _, said = process.communicate(timeout=patience(60))
     assert "Traceback" not in said
     assert process.returncode in (0, -signal.SIGINT, 130)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import httpx2
 import pytest
+from patience import patience
 from postgresql import running_postgresql
 from processes import Station, wait_until
 from site_files import OBSERVE, asset_text, write_site
@@ -82,7 +83,7 @@ def test_no_machine_gets_samples_of_another_and_a_person_says_when_to_go_on(
                 "-c",
                 str(site.configuration),
             ]
-            subprocess.run(confirm, check=True, timeout=PATIENCE_S)
+            subprocess.run(confirm, check=True, timeout=patience(PATIENCE_S))
             wait_until(lambda: site.store_is("ok"), PATIENCE_S, "confirmed")
             assert site.push_at("a3", 302) == httpx2.codes.OK
             wait_until(lambda: site.history("a3") == [300, 301, 302], PATIENCE_S, "stored")

@@ -8,6 +8,7 @@ from contextlib import closing
 from typing import Any
 
 import pytest
+from patience import patience
 from processes import Command, Station, free_port, wait_until
 from pymodbus.client import ModbusTcpClient
 from pymodbus.exceptions import ModbusException
@@ -33,7 +34,7 @@ class Plc:
 
     def __init__(self, port: int) -> None:
         self.port = port
-        self.client = ModbusTcpClient("127.0.0.1", port=port, timeout=5)
+        self.client = ModbusTcpClient("127.0.0.1", port=port, timeout=patience(5))
 
     def head(self) -> list[int]:
         if not self.client.connect():
@@ -94,7 +95,7 @@ def test_the_permissive_falls_with_the_cell_and_with_the_values(
     # side goes on is of that moment: the cell's old values give no permissive.
     plant = service.side("plant")
     with service.frozen("cell", "plant"):
-        silent = ModbusTcpClient("127.0.0.1", port=plc.port, timeout=1, retries=0)
+        silent = ModbusTcpClient("127.0.0.1", port=plc.port, timeout=patience(1), retries=0)
         with pytest.raises(ModbusException), silent:
             silent.read_coils(0)
         time.sleep(UNCERTAIN_AFTER_S + 1.0)

@@ -15,6 +15,7 @@ from typing import Any
 
 import httpx2
 import pytest
+from patience import patience
 from processes import Station, wait_until
 from site_files import CHANNELS, OBSERVE, asset_text, write_site
 from websockets.sync.client import ClientConnection, connect
@@ -73,7 +74,7 @@ class Side:
         assert self.process.stdout is not None
         if self.process.poll() is None:
             self.send(number)
-        out, _ = self.process.communicate(timeout=PATIENCE_S)
+        out, _ = self.process.communicate(timeout=patience(PATIENCE_S))
         self.process = None
         return out.strip()
 

@@ -12,6 +12,7 @@ from typing import Any
 import httpx2
 import pytest
 from asyncua import Client
+from patience import patience
 from processes import wait_until
 from security.stand import Stand
 
@@ -67,7 +68,7 @@ class Gateway:
     def _try(self, body: Any) -> bool:
         self.tries += 1
         try:
-            answer = httpx2.post(self._url, json=body, headers=self._headers, timeout=10)
+            answer = httpx2.post(self._url, json=body, headers=self._headers, timeout=patience(10))
         except httpx2.TransportError:
             return False
         return answer.status_code == httpx2.codes.OK
@@ -106,7 +107,9 @@ def test_a_killed_web_side_loses_no_sample_and_costs_no_poll(stand: Stand) -> No
     def answers() -> bool:
         url = f"http://127.0.0.1:{stand.port}/api/v1/assets/{ASSET}/snapshot"
         try:
-            answer = httpx2.get(url, headers={"X-API-Key": stand.key_of("viewer")}, timeout=10)
+            answer = httpx2.get(
+                url, headers={"X-API-Key": stand.key_of("viewer")}, timeout=patience(10)
+            )
         except httpx2.TransportError:
             return False
         return answer.status_code == httpx2.codes.OK
@@ -135,7 +138,7 @@ def test_a_killed_plant_side_serves_its_clients_again_and_costs_no_poll(stand: S
     endpoint = f"opc.tcp://127.0.0.1:{stand.opcua_port}/"
 
     async def connect() -> None:
-        client = Client(endpoint, timeout=5)
+        client = Client(endpoint, timeout=patience(5))
         client.set_user("key")
         client.set_password(stand.key_of("viewer"))
         async with client:

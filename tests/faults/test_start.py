@@ -18,6 +18,7 @@ import pytest
 from faults.hall import ASSET, BASE, CAN, MODBUS, Hall, lock_store
 from faults.test_store_away import small_disk
 from hasty import HASTY_S
+from patience import patience
 from postgresql import running_postgresql
 from processes import hasty, wait_until
 
@@ -293,7 +294,7 @@ def test_what_a_person_must_mend_ends_at_once_with_2(tmp_path: Path, wrong: str,
             [sys.executable, "-m", "service", "serve", "-c", str(hall.configuration)],
             capture_output=True,
             text=True,
-            timeout=PATIENCE_S,
+            timeout=patience(PATIENCE_S),
             check=False,
         )
     assert (ended.returncode, ended.stderr.count("\n")) == (2, 1), ended.stderr
@@ -356,7 +357,7 @@ def test_a_command_on_a_locked_store_says_so_in_one_line(tmp_path: Path) -> None
             ],
             capture_output=True,
             text=True,
-            timeout=PATIENCE_S,
+            timeout=patience(PATIENCE_S),
             check=False,
         )  # fmt: skip
     finally:

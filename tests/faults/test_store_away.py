@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 from faults.conftest import Extent
 from faults.hall import STARTED_S, Count, Hall, Outcome, SteppedClock, lock_store
+from patience import patience
 from postgresql import running_postgresql
 from processes import hasty, wait_until
 
@@ -119,7 +120,7 @@ def test_a_second_service_on_the_same_data_is_refused(hall: Hall, tell: Tell) ->
         hasty("serve", "-c", str(hall.configuration)),
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=patience(120),
         check=False,
     )
     assert second.returncode == os.EX_TEMPFAIL

@@ -7,6 +7,7 @@ from pathlib import Path
 import httpx2
 import pytest
 from faults.hall import PATIENCE, STARTED_S, Count, Hall
+from patience import patience
 from postgresql import PostgreSQL, running_postgresql
 from processes import wait_until
 
@@ -43,7 +44,7 @@ def test_pushes_probes_and_the_twin_go_on_and_nothing_is_lost(
         with server.frozen():
             first_s = push_once(hall)
             pushes_s = [push_once(hall) for _ in range(20)]
-            answer = httpx2.get(f"{hall.client.base_url}/readyz", timeout=20)
+            answer = httpx2.get(f"{hall.client.base_url}/readyz", timeout=patience(20))
             assert answer.json()["status"] == "degraded"
             wait_until(lambda: hall.metrics()["spool_bytes"] > 0, PATIENCE_S, "on the spool")
             before = hall.tag("t_inner_ring_c"), hall.tags()["t_inner_ring_c"]["time"]

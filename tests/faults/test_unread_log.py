@@ -7,6 +7,7 @@ from pathlib import Path
 
 import httpx2
 import pytest
+from patience import patience
 from processes import Station, wait_until
 from site_files import asset_text, write_site
 from unread import Unread
@@ -41,7 +42,7 @@ def test_a_service_works_and_ends_though_its_log_is_not_read(station: Station) -
             f"ws://127.0.0.1:{station.port}/api/v1/stream",
             additional_headers={"X-API-Key": station.key},
         ) as stream:
-            stream.recv(timeout=20)
+            stream.recv(timeout=patience(20))
     assert pushed(station)
     os.kill(service.side("web"), 9)
     wait_until(lambda: pushed(station), 60, "the web side, again")

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from opcua_site import RING, Asset, node_id, serving
+from patience import patience
 
 from adapters.samples import Sample
 from service.store import Outbox, Store
@@ -20,7 +21,7 @@ async def run(tool: str, address: str, *arguments: str) -> str:
         [TOOLS / tool, "-u", address, "-n", node_id(RING), *arguments],
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=patience(120),
         check=False,
     )
     assert ran.returncode == 0, ran.stdout + ran.stderr

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from opcua_site import RING, Asset, fill_seconds, node_id, serving
+from patience import patience
 from programs import needed, node_package
 
 from service.store import Outbox, Store
@@ -27,7 +28,7 @@ async def read(folder: Path, store: Store, outbox: Outbox, page: int) -> dict[st
             cwd=HERE,
             capture_output=True,
             text=True,
-            timeout=300,
+            timeout=patience(300),
             check=False,
         )
     assert ran.returncode == 0, ran.stderr

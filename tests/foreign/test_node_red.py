@@ -10,6 +10,7 @@ from typing import Any
 
 import httpx2
 import pytest
+from patience import patience
 from processes import Site, free_port, wait_until
 from programs import needed, node_package
 
@@ -66,7 +67,7 @@ def node_red(site: Site, tmp_path: Path) -> Iterator[str]:
 def context(address: str, name: str) -> Any:
     """A value that the flow keeps; None before there is one, or before Node-RED listens."""
     try:
-        answer = httpx2.get(f"{address}/{name}", timeout=30)
+        answer = httpx2.get(f"{address}/{name}", timeout=patience(30))
     except httpx2.TransportError:
         return None
     kept = answer.json() if answer.is_success else {}

@@ -7,6 +7,7 @@ from typing import Any
 
 import httpx2
 import jsonschema_rs
+from patience import patience
 from processes import Site
 
 
@@ -78,4 +79,6 @@ class Published:
     def as_role(self, role: str | None) -> httpx2.Client:
         """A client with a key of a role, or with none."""
         headers = {} if role is None else {"X-API-Key": self.keys[role]}
-        return httpx2.Client(base_url=self.site.client.base_url, headers=headers, timeout=60)
+        return httpx2.Client(
+            base_url=self.site.client.base_url, headers=headers, timeout=patience(60)
+        )

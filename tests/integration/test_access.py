@@ -16,6 +16,7 @@ from typing import Any
 import httpx2
 import pytest
 import websockets
+from patience import patience, wait_for
 from processes import Station, wait_until
 from site_files import MACHINE, asset_text, write_site
 
@@ -44,7 +45,7 @@ class Place(Station):
             capture_output=True,
             text=True,
             check=True,
-            timeout=180,
+            timeout=patience(180),
         )
         return json.loads(done.stdout)
 
@@ -80,7 +81,7 @@ async def until_the_stream_ends(place: Place, key: str, revoke: Any) -> tuple[in
         await asyncio.to_thread(revoke)
         began = time.monotonic()
         with pytest.raises(websockets.ConnectionClosed) as closed:
-            await asyncio.wait_for(read_on(stream), PATIENCE_S)
+            await wait_for(read_on(stream), PATIENCE_S)
     end = closed.value.rcvd
     assert end is not None
     return end.code, end.reason, time.monotonic() - began
@@ -96,7 +97,7 @@ def test_a_revoked_key_loses_its_sessions_and_streams_too(place: Place, way: str
         else:
             assert place.cli("revoke", made["prefix"])["revoked"] is not None
 
-    with httpx2.Client(base_url=place.address, timeout=30) as browser:
+    with httpx2.Client(base_url=place.address, timeout=patience(30)) as browser:
         assert browser.post("/api/v1/session", json={"key": made["key"]}).status_code == 200
         assert browser.get("/api/v1/assets").status_code == 200
         code, reason, took_s = asyncio.run(until_the_stream_ends(place, made["key"], revoke))
@@ -149,7 +150,7 @@ def fuzz(place: Place, seconds: int) -> "subprocess.CompletedProcess[str]":
         capture_output=True,
         text=True,
         check=False,
-        timeout=500,
+        timeout=patience(500),
         cwd=place.folder,
         env=os.environ | {"BEARING_TWIN_KEY": place.key},
     )  # fmt: skip
@@ -166,7 +167,7 @@ def test_a_fuzz_run_finds_no_server_error_and_nothing_undocumented(place: Place)
 
 def test_no_secret_is_ever_logged(place: Place) -> None:
     """After all the rest: keys, cookies and what was offered in vain are nowhere in the log."""
-    with httpx2.Client(base_url=place.address, timeout=30) as browser:
+    with httpx2.Client(base_url=place.address, timeout=patience(30)) as browser:
         # The fuzz run may have offered too many wrong keys a moment ago.
         mine = {"key": place.secrets[0]}
         wait_until(

@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
+from patience import patience
 from processes import Site, wait_until
 
 pytestmark = [pytest.mark.wires, pytest.mark.timeout(600)]
@@ -17,7 +18,7 @@ pytestmark = [pytest.mark.wires, pytest.mark.timeout(600)]
 @pytest.fixture(scope="module", autouse=True)
 def compiled_kernels() -> None:
     """Have the kernels compiled, so that the demo's time is spent on its story."""
-    subprocess.run([sys.executable, "-m", "service", "warm-up"], check=True, timeout=560)
+    subprocess.run([sys.executable, "-m", "service", "warm-up"], check=True, timeout=patience(560))
 
 
 def test_the_bench_waits_for_the_identification_however_fast_the_clock_runs() -> None:
@@ -29,7 +30,7 @@ def test_the_bench_waits_for_the_identification_however_fast_the_clock_runs() ->
         ],
         capture_output=True,
         text=True,
-        timeout=560,
+        timeout=patience(560),
         check=False,
     )  # fmt: skip
     assert demo.returncode == 0, demo.stderr[-3000:]
@@ -55,7 +56,7 @@ def test_a_demo_that_make_starts_is_cut_short_and_prints_its_document_and_nothin
         env=alone,
         capture_output=True,
         text=True,
-        timeout=560,
+        timeout=patience(560),
         check=False,
     )  # fmt: skip
     assert demo.returncode == 0, demo.stderr[-3000:]

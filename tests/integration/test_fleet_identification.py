@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trustme
+from patience import patience
 from processes import free_port, wait_until
 
 from adapters.samples import Quality, Sample
@@ -120,7 +121,7 @@ def command(site: Path, *arguments: str) -> "subprocess.Popen[str]":
 
 def identify(site: Path, *arguments: str) -> dict[str, Any]:
     process = command(site, "--json", *arguments)
-    output, errors = process.communicate(timeout=600)
+    output, errors = process.communicate(timeout=patience(600))
     assert process.returncode == 0, errors[-3000:]
     document: dict[str, Any] = json.loads(output)
     return document
@@ -211,7 +212,7 @@ def test_a_killed_run_goes_on_and_takes_other_workers_for_those_that_die(
     # A process is only begun for a batch.
     for worker in wait_until(lambda: children(process.pid) or None, 300, "the workers"):
         os.kill(worker, signal.SIGKILL)
-    output, errors = process.communicate(timeout=600)
+    output, errors = process.communicate(timeout=patience(600))
     assert process.returncode == 0, errors[-3000:]
     document = json.loads(output)
     assert document["workers_lost"] >= 1
@@ -289,7 +290,7 @@ def test_a_cluster_that_loses_a_worker_finds_the_same_bits(site: Path, undisturb
         wait_until(lambda: has_begun(site), 300, "the first results", every_s=0.02)
         victim = min(workers())
         os.kill(victim, signal.SIGKILL)
-        output, errors = process.communicate(timeout=600)
+        output, errors = process.communicate(timeout=patience(600))
     assert process.returncode == 0, errors[-3000:]
     document = json.loads(output)
     assert (document["executor"], document["workers"]) == ("dask", 2)
@@ -304,14 +305,14 @@ def test_a_cluster_that_loses_its_scheduler_leaves_a_document_all_the_same(site:
         process = command(site, "--all", "--json", "--scheduler", address)
         wait_until(lambda: has_begun(site), 300, "the first results", every_s=0.02)
         os.kill(scheduler, signal.SIGKILL)
-        output, errors = process.communicate(timeout=600)
+        output, errors = process.communicate(timeout=patience(600))
     assert process.returncode == os.EX_TEMPFAIL, errors[-3000:]
     document = json.loads(output)
     assert "scheduler" in document["ended_by"]
     assert document["machines"] == stored(site) < MACHINES
     # Nothing is there any more: the next call of the night says so, too.
     process = command(site, "--all", "--json", "--scheduler", address)
-    output, errors = process.communicate(timeout=600)
+    output, errors = process.communicate(timeout=patience(600))
     assert process.returncode == os.EX_TEMPFAIL, errors[-3000:]
     document = json.loads(output)
     assert (document["machines"], document["items"]) == (0, [])

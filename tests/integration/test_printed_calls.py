@@ -11,6 +11,7 @@ from typing import Any
 
 import httpx2
 import pytest
+from patience import patience
 from processes import Site, wait_until
 from receivers import running_hook
 
@@ -112,7 +113,7 @@ class Printed(Site):
             env=self.environment,
             capture_output=True,
             text=True,
-            timeout=300,
+            timeout=patience(300),
             check=False,
         )
         lines = [line.partition(" ") for line in self.log.read_text().splitlines()]

@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 from asyncua import Client
+from patience import patience
 from processes import Station, free_port, wait_until
 from programs import needed
 from pymodbus.client import ModbusTcpClient
@@ -70,7 +71,7 @@ class Fans(Station):
 
     async def _retained(self) -> dict[str, Any]:
         found: dict[str, Any] = {}
-        async with MqttClient("127.0.0.1", self.mqtt, timeout=_MQTT_ANSWER_S) as client:
+        async with MqttClient("127.0.0.1", self.mqtt, timeout=patience(_MQTT_ANSWER_S)) as client:
             await client.subscribe("bearing-twin/#", qos=1)
             await client.subscribe("last", qos=1)
             await client.publish("last", b"", qos=1)

@@ -18,6 +18,7 @@ import pytest
 import websockets
 from engineer import go_from_a_run_to_a_forecast
 from integration.published import Published
+from patience import within
 from processes import Site, wait_until
 
 from service.demo.configuration import ASSET
@@ -95,7 +96,7 @@ def test_every_kind_of_message_fits(published: Published) -> None:
                 max_size=None,
                 open_timeout=60,
             ) as stream,
-            asyncio.timeout(MESSAGES_S),
+            within(MESSAGES_S),
         ):
             acting = asyncio.create_task(asyncio.to_thread(act_on_jobs_and_alarms, published))
             while not (acting.done() and published.received >= kinds.keys()):

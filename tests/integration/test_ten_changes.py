@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from patience import patience
 from processes import Station, wait_until
 from site_files import asset_text, write_site
 
@@ -72,7 +73,7 @@ def lint(folder: Path) -> subprocess.CompletedProcess[str]:
         capture_output=True,
         text=True,
         check=False,
-        timeout=280,
+        timeout=patience(280),
     )
 
 
@@ -113,7 +114,7 @@ def test_the_first_change_is_as_its_page_says(packages: Path) -> None:
             capture_output=True,
             text=True,
             check=False,
-            timeout=240,
+            timeout=patience(240),
         )
 
     add(packages, TEST_FILE)

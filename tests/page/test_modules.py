@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from patience import patience
 from programs import needed
 
 from service.alarms.records import normal_alarm, urgency
@@ -30,7 +31,7 @@ def node(*arguments: str, given: str = "") -> str:
     """Standard output of Node.js, with the zone and the language of the browser's tests."""
     ran = subprocess.run(
         [needed("nodejs", "node"), *arguments],
-        input=given, capture_output=True, text=True, timeout=120, check=False,
+        input=given, capture_output=True, text=True, timeout=patience(120), check=False,
         env={"TZ": "Europe/Berlin", "LC_ALL": "en_GB.UTF-8"},
     )  # fmt: skip
     assert ran.returncode == 0, ran.stdout + ran.stderr

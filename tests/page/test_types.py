@@ -6,6 +6,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from patience import patience
 from programs import needed, node_package
 
 from service.web.pages import static_directory
@@ -39,7 +40,7 @@ def test_types_of_the_page(tmp_path: Path) -> None:
     )
     ran = subprocess.run(
         [needed("nodejs", "node"), str(compiler), "--pretty", "false", "--project", str(project)],
-        capture_output=True, text=True, timeout=240, check=False, cwd=tmp_path,
+        capture_output=True, text=True, timeout=patience(240), check=False, cwd=tmp_path,
     )  # fmt: skip
     errors = re.findall(r"^(\S+)\(\d.*?error (?:TS\d+): (.*)$", ran.stdout, re.MULTILINE)
     own = [error for error in errors if error[0] != "wrong.js"]

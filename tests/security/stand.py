@@ -14,6 +14,7 @@ from pathlib import Path
 import httpx2
 from faults.hall import Peer
 from faults.peers import State
+from patience import patience
 from processes import Station, free_port, wait_until
 from site_files import OBSERVE, asset_text, write_site
 
@@ -184,7 +185,7 @@ class Stand(Station):
     def _get(self, path: str) -> int:
         """Ask as somebody else does, from another address than any attacker."""
         connection = http.client.HTTPConnection(
-            "127.0.0.1", self.port, timeout=10, source_address=("127.0.0.2", 0)
+            "127.0.0.1", self.port, timeout=patience(10), source_address=("127.0.0.2", 0)
         )
         try:
             connection.request("GET", path)

@@ -10,6 +10,7 @@ from collections.abc import AsyncIterator
 import pytest
 import structlog
 import websockets
+from patience import wait_for, within
 from starlette.applications import Starlette
 from starlette.requests import Request
 from starlette.responses import PlainTextResponse, Response, StreamingResponse
@@ -62,7 +63,7 @@ async def never(websocket: WebSocket) -> None:
 async def flood(websocket: WebSocket) -> None:
     await websocket.accept()
     with contextlib.suppress(TimeoutError):
-        async with asyncio.timeout(1.0):
+        async with within(1.0):
             while True:
                 await websocket.send_text("x" * 65_536)
 
@@ -86,7 +87,7 @@ async def port() -> AsyncIterator[int]:
     serving = asyncio.create_task(server.serve(sockets=[Doorway(listener, MOST)]))
     yield number
     server.should_exit = True
-    await asyncio.wait_for(serving, PATIENCE_S)
+    await wait_for(serving, PATIENCE_S)
 
 
 async def open_one(
@@ -98,7 +99,7 @@ async def open_one(
 async def ending(reader: asyncio.StreamReader) -> bytes:
     """All that comes until the other side hangs up."""
     try:
-        return await asyncio.wait_for(reader.read(), PATIENCE_S)
+        return await wait_for(reader.read(), PATIENCE_S)
     except ConnectionError:
         return b""
 
@@ -151,7 +152,7 @@ async def test_an_upgrade_is_answered_whatever_its_head(
 ) -> None:
     reader, writer = await open_one(port)
     writer.write(UPGRADE + heads + b"\r\n")
-    line = await asyncio.wait_for(reader.readline(), PATIENCE_S)
+    line = await wait_for(reader.readline(), PATIENCE_S)
     assert line.split()[1] == status
     if status != b"101":
         await ending(reader)  # which is closed, too
@@ -185,7 +186,7 @@ async def test_a_stream_whose_end_is_not_read_is_hung_up_on(
             await asyncio.sleep(0.1)
 
     with pytest.raises(ConnectionError):  # nothing that is sent is answered before
-        await asyncio.wait_for(write_on(), PATIENCE_S)
+        await wait_for(write_on(), PATIENCE_S)
 
 
 async def test_a_body_that_does_not_end_is_cut_off(
@@ -211,7 +212,7 @@ async def test_a_body_that_does_not_end_is_cut_off(
 async def test_an_answer_before_the_end_of_the_body_ends_the_connection(port: int) -> None:
     reader, writer = await open_one(port)
     writer.write(b"POST /refuse HTTP/1.1\r\nHost: bench\r\nTransfer-Encoding: chunked\r\n\r\n")
-    answer = await asyncio.wait_for(reader.readuntil(b"no"), PATIENCE_S)
+    answer = await wait_for(reader.readuntil(b"no"), PATIENCE_S)
     assert answer.startswith(b"HTTP/1.1 401")
     piece = b"10000\r\n" + bytes(65_536) + b"\r\n"
     most = 64 * web_server.REFUSED_BODY_BYTES
@@ -220,7 +221,7 @@ async def test_an_answer_before_the_end_of_the_body_ends_the_connection(port: in
         for sent in range(0, most, len(piece)):
             try:
                 writer.write(piece)
-                await asyncio.wait_for(writer.drain(), PATIENCE_S)
+                await wait_for(writer.drain(), PATIENCE_S)
             except ConnectionError:
                 return sent
         return most
@@ -243,7 +244,7 @@ async def test_an_answer_that_nobody_reads_is_given_up(
 async def test_an_address_leaves_as_many_connections_as_it_takes(port: int) -> None:
     async def is_let_in(one: tuple[asyncio.StreamReader, asyncio.StreamWriter]) -> bool:
         try:
-            return bool(await asyncio.wait_for(one[0].read(1), 0.3)) is not False
+            return bool(await wait_for(one[0].read(1), 0.3)) is not False
         except TimeoutError:
             return True
         except ConnectionError:
@@ -259,13 +260,13 @@ async def test_an_address_leaves_as_many_connections_as_it_takes(port: int) -> N
     # The last eighth hears why it is not served.
     reader, writer = inside[-1]
     writer.write(GET)
-    assert (await asyncio.wait_for(reader.readline(), PATIENCE_S)).split()[1] == b"503"
+    assert (await wait_for(reader.readline(), PATIENCE_S)).split()[1] == b"503"
     for _, writer in asked:
         writer.close()
     for _ in range(100):
         reader, writer = await open_one(port)
         writer.write(GET)
-        status = await asyncio.wait_for(reader.readline(), PATIENCE_S)
+        status = await wait_for(reader.readline(), PATIENCE_S)
         writer.close()
         if status.startswith(b"HTTP/1.1 200"):
             return
@@ -292,7 +293,7 @@ async def test_without_a_free_descriptor_callers_are_hung_up_on_and_the_log_stay
                 one.setblocking(False)
                 await loop.sock_connect(one, ("127.0.0.1", port))
             for one in waiting:
-                assert await asyncio.wait_for(loop.sock_recv(one, 1), PATIENCE_S) == b""
+                assert await wait_for(loop.sock_recv(one, 1), PATIENCE_S) == b""
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
         for one in waiting:
@@ -302,5 +303,5 @@ async def test_without_a_free_descriptor_callers_are_hung_up_on_and_the_log_stay
     assert [line["event"] for line in lines] == ["no_file_for_a_connection"]
     reader, writer = await open_one(port)
     writer.write(GET)
-    assert (await asyncio.wait_for(reader.readline(), PATIENCE_S)).startswith(b"HTTP/1.1 200")
+    assert (await wait_for(reader.readline(), PATIENCE_S)).startswith(b"HTTP/1.1 200")
     writer.close()

@@ -11,6 +11,7 @@ from datetime import datetime
 
 import httpx2
 import pytest
+from patience import patience
 from security.stand import Course, Stand, metric_in
 
 from bearing_twin_laboratory.benchmarks.attackers import ASSET, attack_names
@@ -89,7 +90,7 @@ def test_all_attacks_at_once_cost_no_poll_and_leave_the_live_forecast_fresh(stan
     elsewhere = httpx2.Client(
         base_url=stand.client.base_url,
         headers=stand.client.headers,
-        timeout=60,
+        timeout=patience(60),
         transport=httpx2.HTTPTransport(local_address="127.0.0.2"),
     )
     rounds = []

@@ -7,6 +7,7 @@ import threading
 from pathlib import Path
 
 import pytest
+from patience import patience
 from unread import Unread
 
 pytestmark = pytest.mark.wires
@@ -72,7 +73,7 @@ def test_a_process_goes_on_and_ends_whoever_reads_its_log(kind: str) -> None:
         stderr=unread.near,
         text=True,
     )
-    said, _ = program.communicate("go on\n", timeout=50)
+    said, _ = program.communicate("go on\n", timeout=patience(50))
     assert said.split() == ["done", "forked"]
     assert program.returncode == 0
     assert "line 2999" not in unread.read_all()
@@ -114,7 +115,7 @@ def test_a_log_without_any_room_stops_nothing() -> None:
             stdout=subprocess.PIPE,
             text=True,
             check=True,
-            timeout=50,
+            timeout=patience(50),
         )
     assert program.stdout.split() == ["done", "forked"]
 
@@ -122,5 +123,5 @@ def test_a_log_without_any_room_stops_nothing() -> None:
 def test_the_last_words_of_a_refused_command_hold_nothing_up() -> None:
     unread = Unread("pipe")
     command = [sys.executable, "-m", "service", "serve", "-c", "/no/such/file.toml"]
-    refused = subprocess.run(command, stderr=unread.near, timeout=50, check=False)
+    refused = subprocess.run(command, stderr=unread.near, timeout=patience(50), check=False)
     assert refused.returncode == 2

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 import yaml
+from patience import patience
 from processes import Station, free_port, wait_until
 from programs import needed
 from site_files import asset_text, write_site
@@ -72,7 +73,7 @@ def test_every_rule_tells_when_it_should_and_is_silent_otherwise(
         cwd=PROMETHEUS,
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=patience(120),
     )
     assert ran.returncode == 0, ran.stdout + ran.stderr
     tests = yaml.safe_load((PROMETHEUS / "rules_test.yaml").read_text())["tests"]
@@ -89,7 +90,7 @@ def test_prometheus_takes_its_configuration() -> None:
         cwd=PROMETHEUS,
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=patience(120),
     )
     assert ran.returncode == 0, ran.stdout + ran.stderr
     compose = yaml.safe_load((DEPLOY / "compose.yaml").read_text())

@@ -2,6 +2,7 @@
 
 import asyncio
 
+from patience import within
 from structlog.testing import capture_logs
 
 from service.tasks import Part, Working
@@ -57,7 +58,7 @@ async def test_work_that_fails_ends_the_process_and_is_logged() -> None:
     part, stop = Working("dividing", fail), asyncio.Event()
     with capture_logs() as logs:
         await part.start(stop)
-        async with asyncio.timeout(10):
+        async with within(10):
             await stop.wait()
         assert [(one["event"], one["task"]) for one in logs] == [("task_ended", "dividing")]
     try:

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from patience import within
 
 from service.app.one_process import serve_in_one_process
 from service.service_manager import ServiceManager
@@ -126,7 +127,7 @@ def test_it_gives_no_sign_of_life_when_its_work_does_not_go_on(manager: socket.s
             return looks == 1
 
         watching = asyncio.create_task(ServiceManager().watch(is_alive))
-        async with asyncio.timeout(PATIENCE_S):
+        async with within(PATIENCE_S):
             while looks < 4:  # noqa: ASYNC110 - there is nothing to wait for
                 await asyncio.sleep(0.01)
         watching.cancel()

@@ -7,6 +7,7 @@ from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
 import pytest
+from patience import patience
 
 from service.web.what_if_worker import WhatIfWorker
 from service.worker_pools import NoWorkerError, make_pool, why_no_worker
@@ -52,6 +53,6 @@ def test_a_pool_without_room_for_its_process_is_replaced(
     assert not worker.is_running
     with pytest.raises(BrokenProcessPool):
         pool.submit(abs, -1)
-    assert worker.submit(abs, -1).result(timeout=60) == 1
+    assert worker.submit(abs, -1).result(timeout=patience(60)) == 1
     worker.shutdown()
     pool.shutdown(wait=False)

@@ -5,6 +5,8 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from typing import Any
 
+from patience import within
+
 from adapters.virtual_bench import run
 from adapters.virtual_bench.live import LiveBench
 from adapters.virtual_bench.modbus_server import BenchModbusServer
@@ -33,7 +35,7 @@ async def running_bench(
         yield await announced
     finally:
         stop.set()
-        async with asyncio.timeout(20.0):
+        async with within(20.0):
             await task
 
 

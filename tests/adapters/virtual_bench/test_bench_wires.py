@@ -20,6 +20,7 @@ import can
 import can.interfaces.slcan
 import cantools
 import pytest
+from patience import patience, wait_for
 from programs import needed
 from pyModbusTCP.client import ModbusClient  # type: ignore[import-untyped]
 
@@ -37,7 +38,7 @@ PATIENCE_S = 30.0
 
 def _client(where: dict[str, Any], unit: int) -> ModbusClient:
     return ModbusClient(
-        where["modbus"]["host"], where["modbus"]["port"], unit_id=unit, timeout=PATIENCE_S
+        where["modbus"]["host"], where["modbus"]["port"], unit_id=unit, timeout=patience(PATIENCE_S)
     )
 
 
@@ -179,7 +180,7 @@ async def test_python_can_logger_records_both_messages(tmp_path: Path) -> None:
             # Past three minutes of rest; 1400 lines are 700 frames of each message.
             await asyncio.to_thread(_until, lambda: _rows_of(log) > 1400, "frames in the log")
             process.send_signal(signal.SIGINT)
-            _, errors = await asyncio.wait_for(process.communicate(), PATIENCE_S)
+            _, errors = await wait_for(process.communicate(), PATIENCE_S)
         finally:
             if process.returncode is None:
                 process.kill()
@@ -210,10 +211,10 @@ async def test_frames_come_at_the_pace_of_the_process_to_several_clients() -> No
                 interface="slcan", channel=channel, bitrate=500000, sleep_after_open=0.0
             ) as bus:
                 assert isinstance(bus, can.interfaces.slcan.slcanBus)
-                assert bus.get_version(timeout=PATIENCE_S) == (10, 13)
+                assert bus.get_version(timeout=patience(PATIENCE_S)) == (10, 13)
                 began = time.monotonic()
                 while min(count[0x120], count[0x130]) < 30:
-                    frame = bus.recv(timeout=PATIENCE_S)
+                    frame = bus.recv(timeout=patience(PATIENCE_S))
                     assert frame is not None
                     count[frame.arbitration_id] += 1
                 assert time.monotonic() - began > 0.5  # twenty a second; not as fast as can be
@@ -227,7 +228,7 @@ async def test_frames_come_at_the_pace_of_the_process_to_several_clients() -> No
 async def _slcan(where: dict[str, Any], commands: bytes, wanted: bytes) -> bytes:
     reader, writer = await asyncio.open_connection(where["can"]["host"], where["can"]["port"])
     writer.write(commands)
-    answer = await asyncio.wait_for(reader.readuntil(wanted), PATIENCE_S)
+    answer = await wait_for(reader.readuntil(wanted), PATIENCE_S)
     writer.close()
     await writer.wait_closed()
     return answer
@@ -435,5 +436,5 @@ async def test_stopping_frees_the_ports_at_once() -> None:
     writer.close()
     for port in (where["modbus"]["port"], where["can"]["port"]):
         with pytest.raises(ConnectionRefusedError):
-            socket.create_connection(("127.0.0.1", port), timeout=5.0)
+            socket.create_connection(("127.0.0.1", port), timeout=patience(5.0))
     assert json.dumps(where)  # what is announced is plain JSON

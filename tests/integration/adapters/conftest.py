@@ -12,6 +12,7 @@ from typing import Any
 
 import processes
 import pytest
+from patience import patience
 
 from adapters.protocol import ChannelBinding, Driver, PlanBinding
 from adapters.registry import driver_spec
@@ -120,7 +121,7 @@ async def running_driver(
         while not task.done():
             # `asyncio.wait_for` of Python 3.11, which pymodbus uses, now and then swallows one.
             task.cancel()
-            await asyncio.wait({task}, timeout=1.0)
+            await asyncio.wait({task}, timeout=patience(1.0))
         stopped_after_s = time.monotonic() - began
     record.check()
     assert stopped_after_s < 60.0

@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 from integration.adapters.modbus_device import Device
+from patience import wait_for
 from pymodbus.constants import ExcCodes
 from pymodbus.framer.rtu import FramerRTU
 from pymodbus.server import ModbusTcpServer
@@ -350,7 +351,7 @@ async def test_a_late_reply_is_never_taken_for_the_answer_to_a_newer_request(
         if number == 1:
             # A next request that came the same way would be answered by this one.
             with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(asked_again.wait(), 4.0)
+                await wait_for(asked_again.wait(), 4.0)
             # simple devices do not return the transaction number, so it cannot help
             return b"\0\0" + registers_answer(request, 111)[2:]
         asked_again.set()

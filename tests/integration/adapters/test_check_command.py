@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from patience import patience
 from processes import free_port
 
 pytestmark = pytest.mark.wires
@@ -64,7 +65,7 @@ def check(tmp_path: Path, ports: dict[str, int]) -> Callable[..., Any]:
             cwd=tmp_path,
             capture_output=True,
             text=True,
-            timeout=120,
+            timeout=patience(120),
             check=False,
         )
         document = json.loads(ended.stdout)

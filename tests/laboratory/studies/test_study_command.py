@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from patience import patience
 from processes import wait_until
 
 from bearing_twin_laboratory.studies.registry import STUDIES
@@ -27,7 +28,7 @@ def _study(folder: Path, *arguments: str) -> "subprocess.CompletedProcess[str]":
         cwd=folder,
         capture_output=True,
         text=True,
-        timeout=280,
+        timeout=patience(280),
         check=False,
     )
 
@@ -130,7 +131,7 @@ def test_a_stop_takes_the_other_processes_along(tmp_path: Path) -> None:
         [*COMMAND, "noa-vs-pso", "--out", "plots"], cwd=tmp_path, stderr=subprocess.PIPE, text=True
     ) as running:
         children = Path(f"/proc/{running.pid}/task/{running.pid}/children")
-        deadline = time.monotonic() + 120
+        deadline = time.monotonic() + patience(120)
         workers: list[str] = []
         while len(workers) < 2:
             assert running.poll() is None, running.stderr and running.stderr.read()
@@ -138,7 +139,7 @@ def test_a_stop_takes_the_other_processes_along(tmp_path: Path) -> None:
             time.sleep(0.1)
             workers = children.read_text().split()
         running.send_signal(signal.SIGTERM)
-        _, error = running.communicate(timeout=60)
+        _, error = running.communicate(timeout=patience(60))
     assert running.returncode == 0
     assert error == "bearing-twin: stopped; nothing is written\n"
     assert not list((tmp_path / "plots").iterdir())

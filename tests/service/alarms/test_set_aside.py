@@ -13,6 +13,7 @@ import pytest
 from alarm_bench import COLD, HOT, SECOND_US, UNKNOWN, Bench
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from patience import patience
 
 from service.alarms import (
     LONGEST_SHELVING_S,
@@ -101,7 +102,7 @@ def test_what_was_said_outlives_a_killed_process(bench: Bench) -> None:
     killed = subprocess.run(
         [sys.executable, "-c", code, str(other)],
         env=os.environ | {"PYTHONPATH": path},
-        timeout=180,
+        timeout=patience(180),
         check=False,
     )
     assert killed.returncode == -signal.SIGKILL

@@ -4,6 +4,7 @@ import subprocess
 import sys
 
 import pytest
+from patience import patience
 
 pytestmark = pytest.mark.wires  # each starts a process
 
@@ -33,7 +34,11 @@ def test_a_side_loads_nothing_that_its_first_work_does_not_need(
     program += "there = [name for name, module in sys.modules.items() if module is not None]\n"
     program += "print(len(there) - before, *{name.partition('.')[0] for name in there})"
     answer = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, timeout=120, check=True
+        [sys.executable, "-c", program],
+        capture_output=True,
+        text=True,
+        timeout=patience(120),
+        check=True,
     )
     count, *libraries = answer.stdout.split()
     assert (OF_THE_TWIN | OF_OTHERS | without) & set(libraries) == set()

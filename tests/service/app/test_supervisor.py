@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 import small_sides
+from patience import within
 
 from service.app import supervisor
 from service.app.sides import sides_of
@@ -54,7 +55,7 @@ class Supervised:
 
     async def starts_of(self, side: str, number: int) -> list[int]:
         """Processes that a side has had, when it has been ready so many times."""
-        async with asyncio.timeout(PATIENCE_S):
+        async with within(PATIENCE_S):
             while True:
                 ready = [
                     pid
@@ -69,7 +70,7 @@ class Supervised:
     async def who_answers(self) -> int:
         """Connect as a caller does; a connection waits while there is no web side."""
         reader, writer = await asyncio.open_connection(*self.listener.getsockname()[:2])
-        async with asyncio.timeout(PATIENCE_S):
+        async with within(PATIENCE_S):
             answer = await reader.read()
         writer.close()
         return int(answer)
@@ -91,7 +92,7 @@ async def supervised(
 
 async def gone(pid: int) -> None:
     """Wait for the end of a process."""
-    async with asyncio.timeout(PATIENCE_S):
+    async with within(PATIENCE_S):
         with contextlib.suppress(ProcessLookupError):
             while True:
                 os.kill(pid, 0)

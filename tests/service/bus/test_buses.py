@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import pytest
+from patience import within
 
 from service.bus import dispatch
 from service.bus.calls import command_type
@@ -192,7 +193,7 @@ async def test_a_reader_that_does_not_read_sees_what_it_missed_by_the_numbers(
         changes = reader.changes("values")
         first = asyncio.ensure_future(anext(changes))
         number = 0
-        async with asyncio.timeout(30):
+        async with within(30):
             while not first.done():  # a subscription takes a moment
                 number += 1
                 cell.publish("values", number, b"x")
@@ -209,7 +210,7 @@ async def test_a_reader_that_does_not_read_sees_what_it_missed_by_the_numbers(
                 seen.append(await anext(changes))
 
         reading = asyncio.create_task(read_on())
-        async with asyncio.timeout(60):
+        async with within(60):
             while not reading.done():
                 last += 1
                 cell.publish("values", last, b"end")

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from patience import within
 
 from service.cell.keeping import StateKeeper
 from service.store import AuditEntry, Store
@@ -31,7 +32,7 @@ async def test_who_comes_during_a_write_goes_with_the_next_and_the_newest_wins()
 
     keeper = StateKeeper(write)
     first = keeper.save("a", {"n": 1})
-    async with asyncio.timeout(30.0):
+    async with within(30.0):
         await begun.wait()
         later = [keeper.save("a", {"n": n}) for n in (2, 3)]
         await asyncio.sleep(0)

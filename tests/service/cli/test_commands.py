@@ -10,6 +10,7 @@ from pathlib import Path
 
 import httpx2
 import pytest
+from patience import patience
 from processes import Command, wait_until
 
 from adapters.samples import Sample
@@ -56,7 +57,7 @@ def test_nobody_waits_for_what_only_other_commands_need(
     """The compiled twin, the field buses and the database take seconds to load."""
     ended = subprocess.run(
         [sys.executable, "-X", "importtime", "-m", "service", *arguments],
-        cwd=tmp_path, capture_output=True, text=True, timeout=180, check=False,
+        cwd=tmp_path, capture_output=True, text=True, timeout=patience(180), check=False,
     )  # fmt: skip
     assert ended.returncode == 0
     loaded = {line.rpartition("|")[2].strip() for line in ended.stderr.splitlines()}

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from patience import patience
 from processes import free_port
 
 from service.store import lock_data_directory
@@ -43,7 +44,7 @@ class Waiting:
 
     def postponed(self) -> str:
         """Its last line, once it has given up: it may be tried again."""
-        out, error = self.process.communicate(timeout=PATIENCE_S)
+        out, error = self.process.communicate(timeout=patience(PATIENCE_S))
         assert self.process.returncode == os.EX_TEMPFAIL, error[-3000:]
         assert out == ""
         line = error.splitlines()[-1]

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from patience import patience
 
 pytestmark = pytest.mark.wires
 
@@ -17,7 +18,7 @@ def run(folder: Path, *arguments: str, **environment: str) -> "subprocess.Comple
         cwd=folder,
         env=os.environ | environment,
         check=False,
-        timeout=100,
+        timeout=patience(100),
     )
 
 

@@ -11,6 +11,7 @@ import httpx2
 import pytest
 import trustme
 import websockets
+from patience import patience
 from processes import Command
 
 from service.security.keys import create_key
@@ -68,7 +69,7 @@ def test_with_a_key_and_over_tls_everything_is_there_and_nothing_without(
     service = start("serve", "-c", str(config))
     assert service.first_line == f"https://0.0.0.0:{port}/"
     address = f"https://127.0.0.1:{port}/"
-    with httpx2.Client(base_url=address, verify=certified, timeout=20) as client:
+    with httpx2.Client(base_url=address, verify=certified, timeout=patience(20)) as client:
         answer = client.post("/api/v1/session", json={"key": key})
         assert answer.status_code == 200
         assert answer.headers["strict-transport-security"] == "max-age=2592000"

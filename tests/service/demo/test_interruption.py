@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from patience import patience
 from processes import wait_until
 
 pytestmark = pytest.mark.wires
@@ -71,7 +72,7 @@ def test_ctrl_c_in_the_middle_still_gives_the_account(demo: Demo, tmp_path: Path
     left = children(process.pid)
     assert set(left) == {"virtual-bench", "serve"}
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does on Ctrl-C
-    output, _ = process.communicate(timeout=PATIENCE_S)
+    output, _ = process.communicate(timeout=patience(PATIENCE_S))
     assert process.returncode == 0, (tmp_path / "told").read_text()
     document = json.loads(output)
     assert document["complete"] is False
@@ -85,7 +86,7 @@ def test_a_signal_during_the_preparation_ends_it_at_once(demo: Demo, tmp_path: P
     process = demo()
     wait_until(lambda: told(tmp_path, "Preparing"), 60, "the preparation")
     process.terminate()
-    output, _ = process.communicate(timeout=PATIENCE_S)
+    output, _ = process.communicate(timeout=patience(PATIENCE_S))
     assert process.returncode == 0
     assert json.loads(output) == {
         "model_versions": [],
@@ -101,7 +102,7 @@ def test_a_part_that_dies_is_named(demo: Demo, tmp_path: Path) -> None:
     process = demo()
     wait_until(lambda: told(tmp_path, "Stage 1 of"), 150, "the first stage")
     os.kill(children(process.pid)["serve"], signal.SIGKILL)
-    output, _ = process.communicate(timeout=PATIENCE_S)
+    output, _ = process.communicate(timeout=patience(PATIENCE_S))
     assert process.returncode == 1
     assert output == ""
     last = (tmp_path / "told").read_text().splitlines()[-1]
@@ -111,6 +112,6 @@ def test_a_part_that_dies_is_named(demo: Demo, tmp_path: Path) -> None:
 @pytest.mark.laboratory
 def test_its_time_counts_from_the_start(demo: Demo) -> None:
     process = demo("--duration-s", "2")
-    output, _ = process.communicate(timeout=PATIENCE_S)
+    output, _ = process.communicate(timeout=patience(PATIENCE_S))
     assert process.returncode == 0
     assert json.loads(output)["complete"] is False

@@ -9,6 +9,7 @@ from types import TracebackType
 from typing import Self
 
 import pytest
+from patience import within
 from prometheus_client import CollectorRegistry
 
 from adapters.protocol import SourceHealth
@@ -108,7 +109,7 @@ class Hall:
         await self.until_true(lambda: counts.items() <= self.ingest.counts().items())
 
     async def until_true(self, holds: Callable[[], bool]) -> None:
-        async with asyncio.timeout(30):
+        async with within(30):
             while not holds():  # noqa: ASYNC110 - the counts have no event to wait for
                 await asyncio.sleep(0.001)
 

@@ -6,6 +6,7 @@ import threading
 from pathlib import Path
 
 import pytest
+from patience import patience, within
 from processes import wait_until
 from prometheus_client import CollectorRegistry
 
@@ -132,7 +133,7 @@ async def test_a_twin_with_a_fault_costs_no_sample(tmp_path: Path) -> None:
         task = asyncio.create_task(ingest.run([source]))
         for number in range(3):
             source.script.put_nowait(Batch([sample(number)]))
-        async with asyncio.timeout(30):
+        async with within(30):
             while ingest.counts()["accepted"] < 3:  # noqa: ASYNC110 - no event to wait for
                 await asyncio.sleep(0.001)
         assert await ingest.accept([sample(9)]) == (1, 0)
@@ -277,7 +278,7 @@ def test_with_store_and_spool_away_samples_wait_in_memory_until_the_stop(hall: H
         assert writer.spool_problem is not None
         assert "locked" in writer.spool_problem
         assert not promised.done()
-    assert promised.result(timeout=PATIENCE_S) == (1, 0)
+    assert promised.result(timeout=patience(PATIENCE_S)) == (1, 0)
     # It may have gone on the spool first.
     wait_until(lambda: ledger.counts()["stored"], PATIENCE_S, "stored", every_s=0.01)
     with hall.locked(), hall.locked(SPOOL_FILE):

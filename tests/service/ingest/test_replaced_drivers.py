@@ -3,6 +3,7 @@
 import asyncio
 
 import pytest
+from patience import wait_for
 
 from adapters.samples import Batch
 
@@ -20,7 +21,7 @@ async def test_a_driver_reads_until_the_one_that_replaces_it_has_read(hall: Hall
         await hall.until_true(lambda: len(hall.taken) == 1)
         assert old.left == 0
         new.script.put_nowait(Batch([sample(2)]))
-        await asyncio.wait_for(replacing, PATIENCE_S)
+        await wait_for(replacing, PATIENCE_S)
         assert (old.left, new.left, other.left) == (1, 0, 0)
         assert hall.metric("source_up", source="plc") == 1.0
         await hall.until_true(lambda: len(hall.stored()) == 2)
@@ -37,5 +38,5 @@ async def test_a_device_that_takes_one_connection_gets_the_new_driver_a_moment_l
     monkeypatch.setattr("service.ingest.ingest.REPLACED_AFTER_S", 0.2)
     old, new = ScriptedSource("plc"), ScriptedSource("plc")
     async with hall.running(old):
-        await asyncio.wait_for(hall.ingest.replace("plc", new), PATIENCE_S)
+        await wait_for(hall.ingest.replace("plc", new), PATIENCE_S)
         assert (old.left, new.left) == (1, 0)

@@ -3,6 +3,7 @@
 import asyncio
 
 from job_shop import ASSET, QUICK, WHO, HeldExecutor, Shop, until
+from patience import wait_for, within
 
 from service.domain.requests import IdentificationRequest
 
@@ -27,7 +28,7 @@ async def test_cancelled_while_its_data_are_read_the_worker_never_begins_in_earn
     shown, _ = await jobs.create(
         ASSET, IdentificationRequest(method="noa", budget=5_000_000), None, "x"
     )
-    async with asyncio.timeout(30):
+    async with within(30):
         for _ in iter(lambda: shop.row(shown.id).status, "running"):
             await asyncio.sleep(0)
     await jobs.cancel(ASSET, shown.id)
@@ -39,7 +40,7 @@ async def test_a_job_cancelled_at_the_very_end_takes_no_effect(shop: Shop) -> No
     held = HeldExecutor()
     jobs = await shop.open(held)
     shown, _ = await jobs.create(ASSET, QUICK, None, "x")
-    await asyncio.wait_for(held.computed.wait(), 120)
+    await wait_for(held.computed.wait(), 120)
     await jobs.cancel(ASSET, shown.id)
     held.let_go.set()
     job = await shop.ended(jobs, shown.id)
@@ -57,7 +58,7 @@ async def test_whoever_cancels_while_the_result_takes_effect_is_told_that_it_did
         jobs = await shop.open(held)
         before = len(shop.store.models.versions(ASSET))
         shown, _ = await jobs.create(ASSET, QUICK, None, "x")
-        await asyncio.wait_for(held.computed.wait(), 120)
+        await wait_for(held.computed.wait(), 120)
         held.let_go.set()
         for _ in range(steps):
             await asyncio.sleep(0.001)
@@ -77,7 +78,7 @@ async def test_a_queued_job_that_is_cancelled_never_runs(shop: Shop) -> None:
     await jobs.create(ASSET, QUICK, None, "x")
     job, _ = shop.store.jobs.add("bench-2", {"windows": [], "windows_us": []} | WHO, 1)
     jobs.runner.begin(job)  # the API would refuse it: this asset has no data
-    await asyncio.wait_for(held.computed.wait(), 120)
+    await wait_for(held.computed.wait(), 120)
     answer = await jobs.cancel("bench-2", job.id)
     assert answer is not None
     assert answer.status == "cancelled"

@@ -6,6 +6,7 @@ import sys
 from concurrent.futures.process import BrokenProcessPool
 
 import pytest
+from patience import patience
 
 from service.jobs.executor import make_executor
 
@@ -36,7 +37,7 @@ def test_numba_may_be_given_less_than_the_machine_has() -> None:
         env=os.environ | {"NUMBA_NUM_THREADS": "2"},
         capture_output=True,
         text=True,
-        timeout=180,
+        timeout=patience(180),
         check=False,
     )
     assert found.returncode == 0, found.stderr

@@ -1,11 +1,11 @@
 """Identification jobs, from the request to the live twin."""
 
-import asyncio
 import json
 from pathlib import Path
 
 import pytest
 from job_shop import ASSET, QUICK, WHO, HeldExecutor, Shop, away, until
+from patience import wait_for
 from site_files import asset_section
 from structlog.testing import capture_logs
 
@@ -180,7 +180,7 @@ async def test_a_job_waits_for_a_store_that_is_away(
     held = HeldExecutor()
     jobs = await shop.open(held)
     shown, _ = await jobs.create(ASSET, QUICK, None, "x")
-    await asyncio.wait_for(held.computed.wait(), 120)
+    await wait_for(held.computed.wait(), 120)
     monkeypatch.setattr("service.jobs.runner.STORE_RETRY_WALL_S", 0.1)
     with away(tmp_path, table), capture_logs() as logs:
         held.let_go.set()
@@ -195,4 +195,4 @@ async def test_stopping_without_a_store_is_no_error(shop: Shop, tmp_path: Path) 
     jobs = await shop.open(HeldExecutor())
     await jobs.create(ASSET, QUICK, None, "x")
     with away(tmp_path, "jobs"):
-        await asyncio.wait_for(jobs.stop(), 60)
+        await wait_for(jobs.stop(), 60)

@@ -1,9 +1,8 @@
 """Jobs across restarts and crashes of the service."""
 
-import asyncio
-
 import pytest
 from job_shop import ASSET, QUICK, WHO, HeldExecutor, Shop
+from patience import wait_for
 
 pytestmark = pytest.mark.wires
 
@@ -12,7 +11,7 @@ async def test_a_stopped_service_takes_its_job_up_again(shop: Shop) -> None:
     held = HeldExecutor()
     jobs = await shop.open(held)
     shown, _ = await jobs.create(ASSET, QUICK, None, "x")
-    await asyncio.wait_for(held.computed.wait(), 120)
+    await wait_for(held.computed.wait(), 120)
     await jobs.stop()
     waiting = shop.row(shown.id)
     assert (waiting.status, waiting.attempts) == ("queued", 0)

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from patience import patience
 
 from service.jobs.history import AssetHistory
 from service.jobs.worker import JobOrder, JobResult, run_identification
@@ -71,7 +72,7 @@ def test_a_killed_worker_is_followed_by_one_that_goes_on_and_ends_the_same(order
     worker = multiprocessing.get_context("spawn").Process(target=run_identification, args=(order,))
     worker.start()
     try:
-        deadline = time.monotonic() + 120.0
+        deadline = time.monotonic() + patience(120.0)
         while order.folder.read_checkpoint() is None:
             assert worker.is_alive(), "the worker ended before its first checkpoint"
             assert time.monotonic() < deadline

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 import site_files
 from jumping import LoopClock, pytest_asyncio_loop_factories, seen_threads
+from patience import within
 from site_files import CHANNELS
 
 from adapters.samples import PlannedProfile, PlanStep, Quality, Sample
@@ -118,7 +119,7 @@ class Live:
         timeout_s: float = 60.0,
     ) -> Any:
         """Wait until something is there; the machine goes on sending meanwhile."""
-        async with asyncio.timeout(timeout_s):
+        async with within(timeout_s):
             while not (found := look()):
                 assert self.task is None or not self.task.done(), f"the twin ended before {what}"
                 if feeding is not None:

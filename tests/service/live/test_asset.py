@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 from jumping import LoopClock
+from patience import wait_for, within
 
 from adapters.samples import Quality, Sample
 from service.domain.channels import NODES
@@ -272,7 +273,7 @@ async def test_a_plan_for_a_hot_stage_raises_the_forecast_alarm(
     assert alarm.lead_time_s == pytest.approx(earliest_s, abs=600)
     seen = set()
     while "alarm" not in seen:
-        seen.add((await asyncio.wait_for(subscription.get(), 30)).type)
+        seen.add((await wait_for(subscription.get(), 30)).type)
     assert "forecast" in seen
 
 
@@ -284,9 +285,9 @@ async def test_late_samples_are_not_sent_as_live(make_live: Callable[..., Any]) 
     newest = Sample("bench-1", "t_inner_ring_c", now_us, 55.0, 192, now_us)
     older = Sample("bench-1", "t_inner_ring_c", now_us - 5_000_000, 54.0, 192, now_us)
     live.runtime.take([newest, older], [])
-    message = await asyncio.wait_for(subscription.get(), 30)
+    message = await wait_for(subscription.get(), 30)
     while message.type != "measurement":
-        message = await asyncio.wait_for(subscription.get(), 30)
+        message = await wait_for(subscription.get(), 30)
     (sent,) = json.loads(message.text)["data"]["samples"]
     assert sent["value"] == 55.0
 
@@ -363,7 +364,7 @@ async def test_state_messages_carry_the_estimates_of_the_sensors(
     live = make_live()
     subscription = live.subscribe()
     await running(live, WARM)
-    async with asyncio.timeout(30):
+    async with within(30):
         while (message := await subscription.get()).type != "state":
             live.feed(WARM)
     data = json.loads(message.text)["data"]

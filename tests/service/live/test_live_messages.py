@@ -4,6 +4,7 @@ import threading
 
 import pytest
 from jumping import work
+from patience import wait_for, within
 
 from service.bus.stream import LiveMessages
 from service.bus.subscription import Subscription, SubscriptionClosedError
@@ -15,7 +16,7 @@ def make_bus(**limits: int) -> LiveMessages:
 
 
 async def read(subscription: Subscription, count: int) -> list[dict]:
-    async with asyncio.timeout(20):
+    async with within(20):
         return [json.loads((await subscription.get()).text) for _ in range(count)]
 
 
@@ -125,7 +126,7 @@ async def test_get_waits_for_a_message_from_another_thread() -> None:
     assert not waiting.done()
     threading.Thread(target=lambda: bus.publish("alarm", "a", {})).start()
     with work():
-        assert (await asyncio.wait_for(waiting, 30)).type == "alarm"
+        assert (await wait_for(waiting, 30)).type == "alarm"
 
 
 async def test_messages_of_many_threads_are_numbered_without_hole_and_in_order() -> None:
@@ -153,9 +154,9 @@ async def test_close_ends_waiting_and_later_subscriptions() -> None:
     await asyncio.sleep(0)
     bus.close("stopping")
     with pytest.raises(SubscriptionClosedError, match="stopping"):
-        await asyncio.wait_for(waiting, 30)
+        await wait_for(waiting, 30)
     with pytest.raises(SubscriptionClosedError):
-        await asyncio.wait_for(bus.subscribe().get(), 30)
+        await wait_for(bus.subscribe().get(), 30)
     assert bus.subscribers == 0
 
 

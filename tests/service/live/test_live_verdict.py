@@ -10,6 +10,7 @@ from typing import Any
 
 import httpx2
 import pytest
+from patience import within
 from prometheus_client import CollectorRegistry
 from structlog.testing import capture_logs
 
@@ -171,11 +172,11 @@ async def test_the_stream_carries_the_verdict_and_its_changes(make_safe: Callabl
     seen: list[str] = []
 
     async def until_word(word: str, feeding: dict[str, float]) -> None:
-        async with asyncio.timeout(60):
+        async with within(60):
             while not seen or seen[-1] != word:
                 live.feed(feeding)
                 try:
-                    async with asyncio.timeout(0.05):
+                    async with within(0.05):
                         message = await subscription.get()
                 except TimeoutError:
                     continue

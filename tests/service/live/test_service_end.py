@@ -8,6 +8,7 @@ from types import SimpleNamespace, TracebackType
 from typing import Any, Self
 
 import pytest
+from patience import wait_for
 
 from adapters.protocol import SourceHealth
 from adapters.samples import Batch
@@ -64,8 +65,8 @@ async def test_a_driver_that_misses_its_cancellation_does_not_hold_up_the_end(
     running = asyncio.create_task(
         serve_in_one_process(settings, announce=lambda _: ready.set(), stop=stop)
     )
-    await asyncio.wait_for(driver.begun.wait(), 30)
-    await asyncio.wait_for(ready.wait(), 60)
+    await wait_for(driver.begun.wait(), 30)
+    await wait_for(ready.wait(), 60)
     stop.set()
-    await asyncio.wait_for(running, 30)
+    await wait_for(running, 30)
     assert driver.missed == 1

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from patience import wait_for
 
 from adapters.samples import Quality
 
@@ -23,7 +24,7 @@ PATIENCE_S = 60.0
 async def words(subscription: Any) -> tuple[str, list[str]]:
     """The next verdict of this moment that is told."""
     while True:
-        message = await asyncio.wait_for(subscription.get(), PATIENCE_S)
+        message = await wait_for(subscription.get(), PATIENCE_S)
         if message.type == "verdict":
             data = json.loads(message.text)["data"]
             return data["now"]["word"], data["missing"]

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from own_networks import MOTOR
+from patience import within
 from site_files import COLUMNS, asset_section
 
 from service.clock import ProcessClock
@@ -209,7 +210,7 @@ async def test_the_label_stays_over_a_restart_and_goes_when_the_filter_has_learn
         return [] if forecast is None else [one for one in forecast.labels if LABEL in one]
 
     async def until(live: Any, look: Callable[[], Any], what: str) -> None:
-        async with asyncio.timeout(60.0):
+        async with within(60.0):
             while not look():
                 assert not live.task.done(), f"the twin ended before {what}"
                 live.feed(machine(live, begun_us))

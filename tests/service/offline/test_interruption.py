@@ -5,6 +5,7 @@ import subprocess
 import sys
 
 import pytest
+from patience import patience
 
 _IN_A_FINALIZER = """
 import os, signal, time
@@ -36,7 +37,7 @@ def test_a_signal_in_a_finalizer_ends_the_process_too(number: signal.Signals) ->
     assert process.stdout.readline() == "in the finalizer\n"
     process.send_signal(number)
     try:
-        output, errors = process.communicate(timeout=60)
+        output, errors = process.communicate(timeout=patience(60))
     finally:
         process.kill()
     assert (process.returncode, output) == (0, "goes on\n")

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from patience import patience
 from typer.testing import CliRunner
 
 from service.cli.main import app
@@ -35,7 +36,7 @@ def twin(*arguments: object) -> subprocess.CompletedProcess[str]:
         [sys.executable, "-m", "service", *(str(argument) for argument in arguments)],
         capture_output=True,
         text=True,
-        timeout=280,
+        timeout=patience(280),
         check=False,
     )
 
@@ -421,7 +422,7 @@ def test_a_stopped_identification_leaves_nothing_and_showed_its_progress(
     )  # fmt: skip
     os.close(slave)
     shown = b""
-    deadline = time.monotonic() + 90.0
+    deadline = time.monotonic() + patience(90.0)
     while b"search" not in shown and time.monotonic() < deadline:
         shown += os.read(master, 4096)
     assert b"search" in shown
@@ -432,7 +433,7 @@ def test_a_stopped_identification_leaves_nothing_and_showed_its_progress(
             shown += chunk
     except OSError:
         pass  # the other side is closed
-    output, _ = process.communicate(timeout=60)
+    output, _ = process.communicate(timeout=patience(60))
     os.close(master)
     assert (process.returncode, output) == (0, b"")
     assert b"stopped; nothing is written" in shown

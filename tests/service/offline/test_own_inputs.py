@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from patience import patience
 
 from service.offline.rows import rows_of_recording, step_of
 from service.offline.tables import TableError, read_profile, read_recording
@@ -113,7 +114,7 @@ def duty(seconds: int, low: float, high: float, seed: int) -> tuple[FloatArray, 
 def bearing_twin(folder: Path, *arguments: str) -> "subprocess.CompletedProcess[str]":
     return subprocess.run(
         [sys.executable, "-m", "service", *arguments],
-        cwd=folder, capture_output=True, text=True, timeout=280, check=False,
+        cwd=folder, capture_output=True, text=True, timeout=patience(280), check=False,
     )  # fmt: skip
 
 

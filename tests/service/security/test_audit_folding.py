@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from patience import within
 
 from service.security import audit_trail
 from service.security.audit_trail import AuditTrail
@@ -22,7 +23,7 @@ def outbox(store: Store, tmp_path: Path) -> Iterator[Outbox]:
 
 async def lines_when(store: Store, outbox: Outbox, count: int) -> list[AuditEntry]:
     """Wait for so many lines, oldest first."""
-    async with asyncio.timeout(60):
+    async with within(60):
         while True:
             assert await asyncio.to_thread(outbox.flush, 30)
             lines = store.audit.page().items
@@ -39,7 +40,7 @@ async def test_repetitions_are_counted_and_written_when_the_minute_is_over(
         await trail.note_repeated(Actor("unknown", "203.0.113.9"), REFUSED, f"key {number}")
     await trail.note_repeated(Actor("unknown", "203.0.113.10"), REFUSED, "another address")
     # What is counted adds up, however many minutes it took.
-    async with asyncio.timeout(60):
+    async with within(60):
         while trail._folds:  # noqa: ASYNC110 - nobody tells
             await asyncio.sleep(0.02)
     lines = await lines_when(store, outbox, 3)

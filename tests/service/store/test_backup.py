@@ -12,6 +12,7 @@ from pathlib import Path
 
 import psycopg
 import pytest
+from patience import patience
 from postgresql import PostgreSQL
 from sqlalchemy.engine import make_url
 
@@ -63,7 +64,7 @@ def test_an_sqlite_file_is_copied_while_it_is_written_and_restored(tmp_path: Pat
     program = shlex.split(block)
     code = program[program.index("-c") + 1].replace("/var/lib/bearing-twin", str(tmp_path))
     with Store.open("", tmp_path) as store, written_to(store):
-        subprocess.run([sys.executable, "-c", code], check=True, timeout=180)
+        subprocess.run([sys.executable, "-c", code], check=True, timeout=patience(180))
     restored = tmp_path / "restored"
     restored.mkdir()
     (tmp_path / "backup.db").rename(restored / FILE_NAME)
@@ -101,4 +102,4 @@ def run(programs: Path, command: list[str], replaced: dict[str, str]) -> None:
         next((word.replace(old, new) for old, new in replaced.items() if old in word), word)
         for word in command
     ]
-    subprocess.run([programs / words[0], *words[1:]], check=True, timeout=280)
+    subprocess.run([programs / words[0], *words[1:]], check=True, timeout=patience(280))

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import psycopg
 import pytest
+from patience import patience
 from postgresql import PostgreSQL
 from sqlalchemy import create_engine
 from sqlalchemy.engine import make_url
@@ -167,7 +168,7 @@ def test_two_services_on_one_sqlite_file_are_refused(tmp_path: Path) -> None:
         )
         said = subprocess.run(
             [sys.executable, "-c", code, url, str(tmp_path / "second")],
-            capture_output=True, text=True, timeout=180, check=True,
+            capture_output=True, text=True, timeout=patience(180), check=True,
         ).stdout  # fmt: skip
         assert f"shared/one.db: another service is running on it (process {os.getpid()})" in said
         with pytest.raises(DatabaseInUseError):
@@ -246,7 +247,7 @@ def older_service(tmp_path: Path) -> Iterator[Path]:
         assert process.stdout is not None
         assert process.stdout.readline() == "held\n"
         yield tmp_path
-        process.communicate(timeout=60)
+        process.communicate(timeout=patience(60))
 
 
 @pytest.mark.wires

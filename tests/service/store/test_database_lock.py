@@ -6,6 +6,7 @@ from typing import Any
 
 import psycopg
 import pytest
+from patience import patience
 from postgresql import PostgreSQL, running_postgresql
 from processes import hasty, wait_until
 
@@ -43,7 +44,7 @@ def test_a_second_service_with_a_directory_of_its_own_is_refused(
             hasty("serve", "-c", str(configuration)),
             capture_output=True,
             text=True,
-            timeout=280,
+            timeout=patience(280),
             check=False,
         )
     assert second.returncode == os.EX_TEMPFAIL, second.stderr

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from patience import patience
 from processes import wait_until
 from sqlalchemy import event, select
 
@@ -343,7 +344,7 @@ def test_who_is_killed_while_it_condenses_and_packs_loses_nothing(
         assert worker.stdout.readline() == "begins\n"
         time.sleep(delay_s)
         worker.send_signal(signal.SIGKILL)
-        rest, _ = worker.communicate(timeout=60)
+        rest, _ = worker.communicate(timeout=patience(60))
         total = sum(row.sample_count for row in rows(store, PackedHourRow))
         in_table = len(rows(store, SampleRow))
         assert in_table + total == 60 * 3 * 360

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 from alarm_bench import STORED
+from patience import patience
 from postgresql import PostgreSQL
 from processes import wait_until
 from sqlalchemy import Connection
@@ -222,7 +223,7 @@ def test_a_killed_process_loses_nothing(tmp_path: Path) -> None:
     assert child.stdout is not None
     assert child.stdout.readline() == "open\n"
     with locked(tmp_path):
-        child.communicate("go on\n", timeout=PATIENCE_S)
+        child.communicate("go on\n", timeout=patience(PATIENCE_S))
     assert child.returncode == -signal.SIGKILL
     with Store.open("", tmp_path) as store:
         assert store.alarms.journal().items == []

@@ -8,6 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
+from patience import patience
 
 from adapters.samples import Sample
 from service.store import Store, StoreUnavailableError
@@ -39,7 +40,7 @@ def test_a_killed_writer_loses_nothing_that_it_acknowledged(
     for _ in range(batches_before_the_kill):
         acknowledged = int(writer.stdout.readline())
     writer.send_signal(signal.SIGKILL)
-    rest, _ = writer.communicate(timeout=180)
+    rest, _ = writer.communicate(timeout=patience(180))
     acknowledged = int(rest.split()[-1]) if rest.split() else acknowledged
 
     with Store.open("", tmp_path) as store:
@@ -77,7 +78,7 @@ def test_readers_see_whole_batches_while_a_writer_writes(store: Store) -> None:
             store.samples.write([Sample("a", f"c{t % 3}", t, 1.0, 192, t) for t in times])
             store.states.save("a", {"number": number})
         stop.set()
-        assert all(reader.result(timeout=180) > 0 for reader in readers)
+        assert all(reader.result(timeout=patience(180)) > 0 for reader in readers)
     assert store.states.load("a") == {"number": batches - 1}
     assert len(store.samples.read("a", None, 0, 2**62, 10**6)) == batches * size
 

@@ -13,6 +13,7 @@ import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.runtime.migration import MigrationContext
 from alembic.script import ScriptDirectory
+from patience import patience
 from sqlalchemy import create_engine, insert, inspect
 
 from adapters.samples import Sample
@@ -327,7 +328,7 @@ def test_a_store_that_may_not_be_written_is_refused(tmp_path: Path, there_before
         "try: Store.open('', pathlib.Path(sys.argv[1]))\n"
         "except StoreError as error: print(error)\n"
     )
-    said, _ = python(code, str(data_dir)).communicate(timeout=180)
+    said, _ = python(code, str(data_dir)).communicate(timeout=patience(180))
     assert said.startswith(f"store {data_dir}/{FILE_NAME}: ")
     assert "may" in said
     assert said.count("\n") == 1
@@ -345,7 +346,7 @@ def test_opened_twice_in_a_process_it_keeps_its_log_from_other_programs(tmp_path
     with Store.open("", tmp_path) as cell:
         cell.samples.write([Sample("a", "x", 5, 1.0, 192, 5)])
         with Store.open("", tmp_path) as web:
-            assert python(code, str(tmp_path)).communicate(timeout=180)[0] == ""
+            assert python(code, str(tmp_path)).communicate(timeout=patience(180))[0] == ""
             assert log.exists(), "another program that ends takes the log for its own to remove"
             assert len(web.samples.read("a", None, 0, 10, 10)) == 1
 
@@ -361,7 +362,7 @@ def test_programs_that_start_together_make_one_store(tmp_path: Path) -> None:
         "    store.samples.write([Sample('a', 'x', int(sys.argv[2]), 1.0, 192, 0)])\n"
     )
     programs = [python(code, str(tmp_path), str(number)) for number in range(4)]
-    results = [program.communicate(timeout=180)[0] for program in programs]
+    results = [program.communicate(timeout=patience(180))[0] for program in programs]
     assert results == [""] * 4
     with Store.open("", tmp_path) as store:
         assert len(store.samples.read("a", None, 0, 10, 10)) == 4
@@ -388,7 +389,7 @@ def test_a_second_service_on_the_directory_is_refused_and_told_of_the_first(tmp_
             prefix="p", sha256="h", role="viewer", created_us=1, expires_us=None
         )
         assert store.access.find_key("h") == key
-    first.communicate(timeout=180)
+    first.communicate(timeout=patience(180))
     lock_data_directory(tmp_path).close()
 
 
@@ -398,7 +399,7 @@ def test_a_killed_service_leaves_no_lock(tmp_path: Path) -> None:
     assert first.stdout is not None
     first.stdout.readline()
     first.send_signal(signal.SIGKILL)
-    first.communicate(timeout=180)
+    first.communicate(timeout=patience(180))
     with lock_data_directory(tmp_path) as lock:
         with pytest.raises(DataDirectoryInUseError, match=rf"process {os.getpid()}"):
             lock_data_directory(tmp_path)

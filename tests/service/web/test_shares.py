@@ -5,6 +5,7 @@ import threading
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
+from patience import within
 
 from service.web.shares import BusyError, Shares
 
@@ -56,7 +57,7 @@ async def test_who_stops_waiting_is_forgotten() -> None:
     shares.leave("a")
     again.cancel()
     await settle()
-    async with asyncio.timeout(10):
+    async with within(10):
         await shares.enter("b")
 
 
@@ -72,7 +73,7 @@ async def test_a_turn_lasts_as_long_as_its_work_also_when_the_caller_has_gone() 
         with pytest.raises(BusyError):
             await shares.enter("b")
         release.set()
-        async with asyncio.timeout(30):
+        async with within(30):
             while True:
                 try:
                     await shares.enter("b")

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from patience import patience
 
 from service.features.commissioning import dbc_files, file_versions
 from service.site.settings import Settings, load_settings
@@ -27,7 +28,7 @@ async def lines(world: Any) -> list[tuple[str, str, str]]:
 
 
 async def test_a_look_at_a_device_and_each_save_leave_a_line(world: Any) -> None:
-    admin = world.client("admin", timeout=60)
+    admin = world.client("admin", timeout=patience(60))
     asked = {"source": STRANGE, "count": 1}
     assert (await admin.post(f"{BASE}/registers", json=asked)).is_success
     assert (await admin.post(f"{BASE}/units", json=asked)).is_success
@@ -56,7 +57,7 @@ async def test_a_look_at_a_device_and_each_save_leave_a_line(world: Any) -> None
 
 
 async def test_what_is_refused_leaves_no_line(world: Any) -> None:
-    admin = world.client("admin", timeout=60)
+    admin = world.client("admin", timeout=patience(60))
     stale = {"revision": "old", "sources": [STRANGE]}
     assert (await admin.put(f"{BASE}/configuration", json=stale)).status_code == 409
     assert (await admin.post(f"{BASE}/dbc", json={"name": "b.dbc", "text": "?"})).is_error
@@ -65,7 +66,7 @@ async def test_what_is_refused_leaves_no_line(world: Any) -> None:
 
 
 async def test_a_check_is_no_scan_of_the_network(world: Any, settings: Settings) -> None:
-    admin = world.client("admin", timeout=60)
+    admin = world.client("admin", timeout=patience(60))
     strange = [STRANGE | {"name": f"s{number}", "port": 1 + number} for number in range(9)]
     revision = (await admin.get(BASE)).json()["revision"]
     refused = await admin.post(f"{BASE}/check", json={"revision": revision, "sources": strange})
@@ -84,7 +85,7 @@ async def test_a_check_is_no_scan_of_the_network(world: Any, settings: Settings)
     "network", ["/etc/hostname.toml", "../x.toml", "networks/../../x.toml", "~/x.toml"]
 )
 async def test_a_network_stays_in_the_folder_of_the_file(world: Any, network: str) -> None:
-    admin = world.client("admin", timeout=60)
+    admin = world.client("admin", timeout=patience(60))
     asset = {"id": "a-1", "network": network, "low_risk": {}, "channels": {}}
     revision = (await admin.get(BASE)).json()["revision"]
     for method, path in (("POST", "check"), ("PUT", "configuration")):
@@ -109,7 +110,7 @@ async def test_where_the_file_cannot_be_saved_the_page_hears_it_before_it_begins
 ) -> None:
     # Nobody can write there, whoever runs the tests.
     world.have(settings=settings.model_copy(update={"file": Path("/proc/bench.toml")}))
-    admin = world.client("admin", timeout=60)
+    admin = world.client("admin", timeout=patience(60))
     known = (await admin.get(BASE)).json()
     assert known["why_not"].startswith("the service cannot write into /proc (")
     assert "devices can be looked at" in known["why_not"]
@@ -131,7 +132,7 @@ async def test_dbc_files_have_a_bound(
 ) -> None:
     assert settings.file is not None
     folder = settings.file.parent
-    admin = world.client("admin", timeout=60)
+    admin = world.client("admin", timeout=patience(60))
     monkeypatch.setattr(dbc_files, "DBC_FILES_MAX", 3)
     for number in range(3):
         upload = {"name": "a.dbc", "text": DBC + f"BO_ {2 + number} N: 8 A\n"}
@@ -154,7 +155,7 @@ async def test_dbc_files_have_a_bound(
 async def test_old_versions_of_the_file_are_removed(
     world: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    admin = world.client("admin", timeout=60)
+    admin = world.client("admin", timeout=patience(60))
     monkeypatch.setattr(file_versions, "VERSIONS_MAX", 4)
     revision = (await admin.get(BASE)).json()["revision"]
 
@@ -179,7 +180,7 @@ async def test_assets_in_the_store_are_checked_with_the_change(
     world: Any, settings: Settings
 ) -> None:
     assert settings.file is not None
-    admin = world.client("admin", timeout=60)
+    admin = world.client("admin", timeout=patience(60))
     table = {
         "bearing": "6311",
         "low_risk": {"speed_rpm_max": 900, "load_n_max": 4000},

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from patience import within
 from prometheus_client import CollectorRegistry
 
 from service.features.ledger.part import ForecastLedger
@@ -79,7 +80,7 @@ async def test_the_alarms_of_a_live_twin_get_it(
         ledger.settle(live.runtime)
         running = asyncio.create_task(ledger.run())
         (follower,) = live.runtime._forecasts.followers
-        async with asyncio.timeout(30):
+        async with within(30):
             while follower.read_us is None:  # noqa: ASYNC110
                 await asyncio.sleep(0.02)
         running.cancel()

@@ -9,6 +9,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from patience import within
 from prometheus_client import CollectorRegistry
 
 from adapters.samples import Sample
@@ -291,7 +292,7 @@ async def test_a_store_that_is_away_loses_nothing(
     def figure(**labels: str) -> float | None:
         return registry.get_sample_value("bearing_twin_forecast_readings_total", labels)
 
-    async with asyncio.timeout(60):
+    async with within(60):
         while not outcomes(store):  # noqa: ASYNC110
             await asyncio.sleep(0.05)
         await asyncio.sleep(1.5)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import httpx2
 import pytest
+from patience import patience
 from processes import wait_until
 
 from adapters.samples import Sample
@@ -197,7 +198,7 @@ def test_a_running_service_follows_what_the_command_line_changes(
     key = cli("keys", "create", "--role", "engineer", "-c", config).stdout.strip()
     start("serve", "-c", config)
     with httpx2.Client(
-        base_url=f"http://127.0.0.1:{port}/api/v1", headers={"X-API-Key": key}, timeout=60
+        base_url=f"http://127.0.0.1:{port}/api/v1", headers={"X-API-Key": key}, timeout=patience(60)
     ) as client:
 
         def present() -> list[str]:

@@ -4,6 +4,7 @@ import asyncio
 from typing import Any
 
 import pytest
+from patience import patience
 
 from service.domain.errors import CellUnavailableError
 
@@ -163,7 +164,7 @@ async def test_thousands_are_taken_at_once_while_others_are_answered(
     """The list is judged in a thread: whoever asks meanwhile is answered before it is done."""
     listed = [{"id": f"axle-{n}", "template": "axle", "values": {"unit": 7}} for n in range(4000)]
     importing = asyncio.create_task(
-        world.client("admin").post(IMPORT, json={"assets": listed}, timeout=600)
+        world.client("admin").post(IMPORT, json={"assets": listed}, timeout=patience(600))
     )
     answered = 0
     while not importing.done():

@@ -16,6 +16,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from patience import patience, wait_for
 from processes import free_port, wait_until
 from programs import needed
 from pymodbus.client import AsyncModbusTcpClient
@@ -85,7 +86,9 @@ class Site:
 
     @asynccontextmanager
     async def client(self) -> AsyncIterator[AsyncModbusTcpClient]:
-        async with AsyncModbusTcpClient("127.0.0.1", port=self.port, timeout=20) as client:
+        async with AsyncModbusTcpClient(
+            "127.0.0.1", port=self.port, timeout=patience(20)
+        ) as client:
             yield client
 
     async def bare(self) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
@@ -220,7 +223,7 @@ async def test_mbpoll_reads_a_float(site: Site) -> None:
         needed("mbpoll"), *arguments, "-p", str(site.port), "127.0.0.1",
         stdout=subprocess.PIPE,
     )  # fmt: skip
-    out, _ = await asyncio.wait_for(run.communicate(), 60)
+    out, _ = await wait_for(run.communicate(), 60)
     assert any(line.split() == ["[101]:", "41.25"] for line in out.decode().splitlines()), out
 
 
@@ -243,7 +246,7 @@ async def test_hostile_clients_keep_nobody_from_the_values(site: Site) -> None:
         assert server is not None
         assert len(server._connections) <= MOST_OF_ONE
         # Who was given up is told so by the end of the connection.
-        ended = await asyncio.wait_for(crowd[0][0].read(), 60)
+        ended = await wait_for(crowd[0][0].read(), 60)
         assert ended == b""
         assert site.rounds.problem is None
     for _, writer in crowd:

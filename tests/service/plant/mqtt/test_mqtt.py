@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 from aiomqtt import Client
 from mqtt_site import PATIENCE_S, Asset, Broker, listening, publishing, retained, section, tag
+from patience import patience, within
 
 from adapters.samples import Quality
 from service.bus.stream import LiveMessages
@@ -98,7 +99,7 @@ async def test_a_late_write_is_not_for_the_next_socket_of_the_same_number(
     """The connection ends between the wish to write and the turn of the loop that writes."""
     loop = asyncio.get_running_loop()
     async with client(
-        "127.0.0.1", broker.port, username="ear", password="secret", timeout=PATIENCE_S
+        "127.0.0.1", broker.port, username="ear", password="secret", timeout=patience(PATIENCE_S)
     ) as connected:
         paho = connected._client
         own = paho.socket()
@@ -116,7 +117,7 @@ async def test_a_late_write_is_not_for_the_next_socket_of_the_same_number(
 async def test_a_cancellation_that_comes_with_the_acknowledgement_is_heard(broker: Broker) -> None:
     """Otherwise the service would not stop: its tasks are asked to end once."""
     async with MqttClient(
-        "127.0.0.1", broker.port, username="twin", password="secret", timeout=PATIENCE_S
+        "127.0.0.1", broker.port, username="twin", password="secret", timeout=patience(PATIENCE_S)
     ) as client:
         acknowledge = client._client.on_publish
         assert acknowledge is not None
@@ -140,7 +141,11 @@ async def test_open_alarms_can_be_had_by_who_connects_late(broker: Broker, host:
     bus = LiveMessages(ProcessClock())
     async with listening(broker) as listener:
         async with MqttClient(
-            "127.0.0.1", broker.port, username="ear", password="secret", timeout=PATIENCE_S
+            "127.0.0.1",
+            broker.port,
+            username="ear",
+            password="secret",
+            timeout=patience(PATIENCE_S),
         ) as before:
             await before.publish("works/hall-2/service/alarms/gone", "{}", qos=1, retain=True)
         known = replace(host, open_alarms=open_alarms)
@@ -208,12 +213,14 @@ async def test_a_wrong_password_leaves_the_service_running_and_is_never_shown(
     monkeypatch.setattr(rounds, "REOPEN_LAST_S", 0.2)
     wrong = section(broker, password="not-the-secret")
     assert "not-the-secret" not in repr(wrong)
-    async with publishing(host, wrong, Asset(), LiveMessages(ProcessClock())):
-        async with asyncio.timeout(PATIENCE_S):
-            shown = ""
-            while "mqtt_away" not in shown:
-                await asyncio.sleep(0.05)
-                shown += "".join(capsys.readouterr())
+    shown = ""
+    async with (
+        publishing(host, wrong, Asset(), LiveMessages(ProcessClock())),
+        within(PATIENCE_S),
+    ):
+        while "mqtt_away" not in shown:
+            await asyncio.sleep(0.05)
+            shown += "".join(capsys.readouterr())
     assert "ot authorized" in shown
     assert "not-the-secret" not in shown
 

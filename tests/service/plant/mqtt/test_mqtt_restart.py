@@ -18,6 +18,7 @@ from mqtt_site import (
     section,
     tag,
 )
+from patience import patience
 
 from adapters.samples import Quality
 from service.bus.stream import LiveMessages
@@ -103,7 +104,7 @@ async def test_online_is_said_when_all_that_is_retained_is_of_this_process(
     """Also where the broker did not notice yet that an earlier process is gone."""
     await publish_once(broker, host, "bench-1", "bench-2")
     async with MqttClient(
-        "127.0.0.1", broker.port, username="ear", password="secret", timeout=PATIENCE_S
+        "127.0.0.1", broker.port, username="ear", password="secret", timeout=patience(PATIENCE_S)
     ) as client:
         await client.publish("works/hall-2/status", b"online", qos=1, retain=True)
     async with listening(broker) as listener:

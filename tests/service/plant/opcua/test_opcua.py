@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from asyncua import Client, ua
 from opcua_site import BEGAN, WRONG, Asset, Changes, apart, make_client, node_id, read, serving
+from patience import wait_for, within
 
 from adapters.samples import Quality
 from service.clock import from_rfc3339
@@ -61,10 +62,10 @@ async def test_tags_are_read_and_subscribed_but_never_written(
                 changes = Changes()
                 subscription = await client.create_subscription(200, changes)
                 await subscription.subscribe_data_change(client.get_node(node_id("t_inner_ring_c")))
-                seen = [await asyncio.wait_for(changes.values.get(), 20)]
+                seen = [await wait_for(changes.values.get(), 20)]
                 for value, quality in ((62.5, 192), (63.5, 80), (None, 16)):
                     loop.call_soon_threadsafe(asset.tell, "t_inner_ring_c", value, quality)
-                    seen.append(await asyncio.wait_for(changes.values.get(), 20))
+                    seen.append(await wait_for(changes.values.get(), 20))
                 return seen
 
         assert await apart(follow) == [
@@ -95,7 +96,7 @@ async def test_clients_come_and_go_and_a_tag_that_is_new_appears(
         asset.tell("load_n", 2650.0, unit="N")
 
         async def look() -> float:
-            async with Client(address) as client, asyncio.timeout(20):
+            async with Client(address) as client, within(20):
                 while True:
                     found = await read(client, "load_n")
                     if found.StatusCode.is_good():
@@ -179,7 +180,7 @@ async def test_a_revoked_key_ends_its_connections_and_no_other(
         async def look() -> None:
             ended, stays = await follow(revoked.text), await follow(kept.text)
             await asyncio.to_thread(revoke_key, store, revoked.record.id)
-            async with asyncio.timeout(30):
+            async with within(30):
                 while True:
                     try:
                         await read(ended, "t_inner_ring_c")

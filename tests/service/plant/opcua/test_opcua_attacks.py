@@ -9,6 +9,7 @@ import pytest
 from asyncua import Client, ua
 from asyncua.server.internal_session import InternalSession
 from opcua_site import RING, Asset, Changes, apart, inside, make_client, node_id, read
+from patience import wait_for
 
 from service.security.keys import create_key
 from service.store import Outbox, Store
@@ -21,7 +22,7 @@ async def follow(client: Client) -> Changes:
     changes = Changes()
     subscription = await client.create_subscription(100, changes)
     await subscription.subscribe_data_change(client.get_node(node_id(RING)))
-    await asyncio.wait_for(changes.values.get(), PATIENCE_S)
+    await wait_for(changes.values.get(), PATIENCE_S)
     return changes
 
 
@@ -29,7 +30,7 @@ async def goes_on(asset: Asset, changes: Changes, loop: Any, first: float, count
     """Make changes, and wait until each has come to the subscriber."""
     for number in range(count):
         loop.call_soon_threadsafe(asset.tell, RING, first + number)
-        value, _ = await asyncio.wait_for(changes.values.get(), PATIENCE_S)
+        value, _ = await wait_for(changes.values.get(), PATIENCE_S)
         assert value == first + number
 
 
@@ -50,7 +51,7 @@ async def steal(address: str, token: ua.NodeId, encrypted: bool) -> list[str]:
         }
         for name, attempt in attempts.items():
             try:
-                answer = await asyncio.wait_for(attempt(), PATIENCE_S)
+                answer = await wait_for(attempt(), PATIENCE_S)
             except (ua.UaError, ConnectionError, TimeoutError):
                 continue
             if name == "read" and answer.Value.Value is None:
@@ -111,7 +112,7 @@ async def test_one_viewer_cannot_touch_the_subscription_of_another(
                 changes = Changes()
                 subscription = await victim.create_subscription(100, changes)
                 item = await subscription.subscribe_data_change(victim.get_node(node_id(RING)))
-                await asyncio.wait_for(changes.values.get(), PATIENCE_S)
+                await wait_for(changes.values.get(), PATIENCE_S)
                 own = await other.create_subscription(1000, Changes())
                 number = subscription.subscription_id
                 assert number != own.subscription_id

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from asyncua import Client
 from opcua_site import RING, Asset, Serving, apart, inside, make_client, read
+from patience import patience, wait_for, within
 
 from service.plant.opcua.wire import (
     MOST_BYTES_BEFORE_ACTIVATION,
@@ -27,7 +28,7 @@ GET_ENDPOINTS = b"\x01\x00\xac\x01"  # the number of the request, 428
 
 def connect(served: Serving) -> socket.socket:
     port = int(served.address.rsplit(":", 1)[1].split("/")[0])
-    return socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S)
+    return socket.create_connection(("127.0.0.1", port), timeout=patience(PATIENCE_S))
 
 
 def is_closed(line: socket.socket) -> bool:
@@ -102,7 +103,7 @@ async def test_a_message_without_end_and_messages_without_end_close_the_connecti
                     protocol.transport.write(
                         binary if whole else binary[: first * (len(binary) // first)]
                     )
-                await asyncio.wait_for(gone.wait(), PATIENCE_S)
+                await wait_for(gone.wait(), PATIENCE_S)
             finally:
                 client.disconnect_socket()
             return True
@@ -136,7 +137,7 @@ async def test_idle_connections_leave_room_for_whoever_has_a_key(
                 finally:
                     for line in lines:
                         line.close()
-            async with asyncio.timeout(PATIENCE_S):
+            async with within(PATIENCE_S):
                 while True:  # as soon as they are gone
                     try:
                         async with await make_client(served.address, key) as client:

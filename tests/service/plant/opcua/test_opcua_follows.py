@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from asyncua import Client, ua
 from opcua_site import RING, Asset, Changes, apart, inside, node_id, read
+from patience import wait_for
 
 from adapters.samples import Quality
 from service.clock import from_rfc3339
@@ -98,7 +99,7 @@ async def test_a_deadband_loses_neither_a_slow_rise_nor_the_loss_of_a_value(
                 await subscription.deadband_monitor(client.get_node(node_id(RING)), 0.5)
 
                 async def next_one() -> tuple[Any, int]:
-                    return await asyncio.wait_for(changes.values.get(), PATIENCE_S)
+                    return await wait_for(changes.values.get(), PATIENCE_S)
 
                 assert await next_one() == (60.0, 0)
                 for tenths in range(1, 8):  # a ramp of 0.1 K a step
@@ -181,7 +182,7 @@ async def test_objects_come_and_go_with_assets_while_clients_stay_connected(
                     await subscription.subscribe_data_change(watched, ua.AttributeIds.BrowseName)
 
                 async def next_one() -> tuple[Any, int]:
-                    return await asyncio.wait_for(changes.values.get(), PATIENCE_S)
+                    return await wait_for(changes.values.get(), PATIENCE_S)
 
                 second = Asset()
                 await change("bench-2", second)

@@ -15,6 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from opcua_requests import Unknown
 from opcua_site import RING, Asset, apart, fill_seconds, inside, make_client, node_id, serving
+from patience import patience
 
 from service.plant.opcua import history
 from service.plant.opcua.codes import status_code
@@ -54,7 +55,7 @@ def asking(
         async with serving(Asset(), tmp_path, stored, outbox) as address:
 
             async def work() -> None:
-                async with Client(address, timeout=30) as client:
+                async with Client(address, timeout=patience(30)) as client:
                     await look(client)
 
             await apart(work)
@@ -334,7 +335,7 @@ async def test_a_history_goes_with_its_tag(tmp_path: Path, stored: Store, outbox
     async with inside(asset, tmp_path, stored, outbox) as served:
 
         async def statuses() -> list[int]:
-            async with Client(served.address, timeout=30) as client:
+            async with Client(served.address, timeout=patience(30)) as client:
                 details = raw_of(T0, at(60))
                 return [
                     one.StatusCode.value for one in await request(client, details, node_id(RING))

@@ -18,6 +18,7 @@ from opcua_requests import (
     subscribe,
 )
 from opcua_site import RING, Asset, apart, inside, node_id
+from patience import patience, within
 
 from service.store import Outbox, Store
 
@@ -46,7 +47,7 @@ def looking(
                     await asyncio.wrap_future(done)
 
             async def work() -> None:
-                async with Client(served.address, timeout=30) as client:
+                async with Client(served.address, timeout=patience(30)) as client:
                     await look(client, tell)
 
             await apart(work)
@@ -263,7 +264,7 @@ async def test_a_modified_subscription_is_as_the_answer_says(
         assert await modify(100.0, 20, 4) == (100.0, 20, 4)
         found, _ = await next_notifications(client)
         assert shown(found) == [(61.5, 0)]
-        async with asyncio.timeout(PATIENCE_S):  # alive each 0.4 s; it was each hour
+        async with within(PATIENCE_S):  # alive each 0.4 s; it was each hour
             for _ in range(3):
                 message = (await ask(client, publish())).Parameters.NotificationMessage
                 assert message.NotificationData == []

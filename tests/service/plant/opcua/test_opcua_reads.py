@@ -8,6 +8,7 @@ import pytest
 from asyncua import Client, ua
 from opcua_requests import Unknown, ask, read_of, status_of
 from opcua_site import BEGAN, RING, Asset, apart, node_id, serving
+from patience import patience
 
 from adapters.samples import Quality
 from service.clock import from_rfc3339
@@ -36,7 +37,7 @@ async def test_an_index_range_gives_that_part_or_says_why_not(
     async with serving(asset, tmp_path, store, outbox) as address:
 
         async def look() -> None:
-            async with Client(address, timeout=30) as client:
+            async with Client(address, timeout=patience(30)) as client:
 
                 async def part(node: ua.NodeId, text: str, attribute: int = 13) -> Any:
                     request = read_of(of(node, attribute, IndexRange=text))
@@ -92,7 +93,7 @@ async def test_times_come_as_they_are_asked_for(
     async with serving(Asset(), tmp_path, store, outbox) as address:
 
         async def look() -> None:
-            async with Client(address, timeout=30) as client:
+            async with Client(address, timeout=patience(30)) as client:
                 for stamps, source, server in (
                     (Stamps.Source, True, False),
                     (Stamps.Server, False, True),
@@ -119,7 +120,7 @@ async def test_what_no_read_can_mean_is_refused_as_a_whole(
     async with serving(Asset(), tmp_path, store, outbox) as address:
 
         async def look() -> None:
-            async with Client(address, timeout=30) as client:
+            async with Client(address, timeout=patience(30)) as client:
                 ring = of(RING_NODE)
                 for stamps in (Stamps.Invalid, Unknown(5), Unknown(-1)):
                     request = read_of(ring, stamps=stamps)

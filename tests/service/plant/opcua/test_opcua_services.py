@@ -7,6 +7,7 @@ import pytest
 from asyncua import Client, ua
 from opcua_requests import ask, monitor, publish, status_of, subscribe
 from opcua_site import RING, Asset, apart, node_id, serving
+from patience import patience
 
 from service.plant.opcua.sessions import MOST_BROWSES
 from service.store import Outbox, Store
@@ -26,7 +27,7 @@ async def test_a_message_is_given_again_until_it_is_acknowledged(
     async with serving(Asset(), tmp_path, store, outbox) as address:
 
         async def look() -> None:
-            async with Client(address, timeout=30) as client:
+            async with Client(address, timeout=patience(30)) as client:
                 number = (await ask(client, subscribe())).Parameters.SubscriptionId
                 await ask(client, monitor(number, node_id(RING)))
                 first = (await ask(client, publish())).Parameters.NotificationMessage
@@ -63,7 +64,7 @@ async def test_what_cannot_be_watched_is_refused_by_its_status(
     async with serving(Asset(), tmp_path, store, outbox) as address:
 
         async def look() -> None:
-            async with Client(address, timeout=30) as client:
+            async with Client(address, timeout=patience(30)) as client:
                 number = (await ask(client, subscribe())).Parameters.SubscriptionId
 
                 async def status(node: str, filter: Any = None, attribute: int = 13) -> str:
@@ -108,7 +109,7 @@ async def test_references_come_in_pages_of_the_size_that_is_asked_for(
     async with serving(Asset(), tmp_path, store, outbox) as address:
 
         async def look() -> None:
-            async with Client(address, timeout=30) as client:
+            async with Client(address, timeout=patience(30)) as client:
 
                 async def browse(most: int) -> Any:
                     request = ua.BrowseRequest()

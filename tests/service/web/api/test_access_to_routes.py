@@ -6,6 +6,7 @@ from typing import Any
 import httpx2
 import pytest
 from fastapi.routing import APIRoute, APIWebSocketRoute, iter_route_contexts
+from patience import patience
 
 from service.security.keys import create_key, revoke_key
 
@@ -216,7 +217,7 @@ async def test_malformed_credentials_are_no_credentials(world: Any, authorizatio
 
 
 async def test_a_wrong_key_is_not_saved_by_a_good_session(world: Any) -> None:
-    client = world.client(timeout=5)
+    client = world.client(timeout=patience(5))
     await client.post("/api/v1/session", json={"key": world.keys["viewer"]})
     assert (await client.get("/api/v1/assets")).status_code == 200
     wrong = {"X-API-Key": world.keys["viewer"][:-1] + "!"}

@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 from fastapi.routing import APIRoute, iter_route_contexts
+from patience import patience
 from processes import wait_until
 
 from service.security.keys import create_key, revoke_key
@@ -85,7 +86,7 @@ async def test_jobs_keys_and_sessions_leave_lines(world: Any) -> None:
     job = started.json()["id"]
     await engineer.delete(f"{jobs}/{job}")
     made = (await world.client("admin").post("/api/v1/keys", json={"role": "viewer"})).json()
-    browser = world.client(timeout=3)
+    browser = world.client(timeout=patience(3))
     await browser.post("/api/v1/session", json={"key": made["key"]}, headers=PAGE)
     await browser.delete("/api/v1/session", headers=PAGE)
     await browser.post("/api/v1/session", json={"key": "secret nonsense"}, headers=PAGE)

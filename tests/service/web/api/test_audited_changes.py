@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from fastapi.dependencies.models import Dependant
 from fastapi.routing import APIRoute, iter_route_contexts
+from patience import patience
 from processes import wait_until
 from structlog.testing import capture_logs
 
@@ -63,7 +64,9 @@ def no_lines(world: Any, outbox: Outbox | None = None) -> Iterator[None]:
     It takes them again between two tries of ``outbox``: one that is refused, and finds the
     database mended a moment later, is noted as refused and not tried again.
     """
-    with closing(sqlite3.connect(world.data_dir / "bearing-twin.db", timeout=30)) as other:
+    with closing(
+        sqlite3.connect(world.data_dir / "bearing-twin.db", timeout=patience(30))
+    ) as other:
         other.execute(
             "CREATE TRIGGER no_lines BEFORE INSERT ON audit "
             "BEGIN SELECT RAISE(ABORT, 'no line today'); END"
@@ -129,7 +132,7 @@ async def made_ready(world: Any, change: str) -> tuple[Callable[[], Any], Callab
             lambda: client("admin").put("/api/v1/assets/axle-1", json=table),
             lambda: store.assets.get("axle-1"),
         )
-    browser = client(timeout=30)
+    browser = client(timeout=patience(30))
     page = {"Sec-Fetch-Site": "same-origin", "Sec-Fetch-Mode": "cors"}
     begun = await browser.post("/api/v1/session", json={"key": world.keys["viewer"]}, headers=page)
     assert begun.is_success
@@ -189,7 +192,9 @@ async def test_change_and_line_of_an_alarm_wait_for_the_store_as_one(world: Any)
     """What a killed service leaves on the disk has both, or none."""
     alarm = world.raise_alarm()
     assert await asyncio.to_thread(world.context.outbox.flush, 30)
-    with closing(sqlite3.connect(world.data_dir / "bearing-twin.db", timeout=30)) as other:
+    with closing(
+        sqlite3.connect(world.data_dir / "bearing-twin.db", timeout=patience(30))
+    ) as other:
         other.execute("BEGIN EXCLUSIVE")
         outbox = world.alarm_answers.outbox
         world.alarms.acknowledge(

@@ -7,6 +7,7 @@ from collections.abc import AsyncIterator
 from typing import Any
 
 import pytest
+from patience import within
 
 from service.bus import commands as ask
 from service.bus.calls import command_type
@@ -122,7 +123,7 @@ async def followed() -> AsyncIterator[Followed]:
     await asyncio.sleep(0)
     await one.replicas.load()
     running = asyncio.create_task(one.fleet.run())
-    async with asyncio.timeout(PATIENCE_S):
+    async with within(PATIENCE_S):
         while not one.fleet.known:  # noqa: ASYNC110 - nobody tells
             await asyncio.sleep(0.01)
     yield one
@@ -207,7 +208,7 @@ async def test_the_cell_is_asked_only_while_somebody_looks_and_first_where_an_al
     await asyncio.sleep(3 * overview.FRESH_S / 2)
     assert set(cell.asked.values()) == {1}
     fleet.map()
-    async with asyncio.timeout(PATIENCE_S):
+    async with within(PATIENCE_S):
         while min(cell.asked.values()) < 2:  # noqa: ASYNC110 - nobody tells
             await asyncio.sleep(0.01)
     assert cell.most_at_once <= PORTION
@@ -218,7 +219,7 @@ async def test_the_cell_is_asked_only_while_somebody_looks_and_first_where_an_al
     cell.assets[name] = cell.assets[name].model_copy(
         update={"state": "over", "attention": "alarm", "unacknowledged": 1, "alarm": ALARM}
     )
-    async with asyncio.timeout(PATIENCE_S):
+    async with within(PATIENCE_S):
         while not fleet.page(Fit(search=name.upper()), "urgency", 1, None)[0].unacknowledged:
             followed.bus.publish("alarm", name, ALARM)
             await asyncio.sleep(0.05)
@@ -245,7 +246,7 @@ async def test_a_client_pages_through_the_fleet(world: Any) -> None:
     world.rig.at_a_glance = {"state": "over", "attention": "over", "now": "not safe"}
     world.context.fleet.replicas.changed(None)
     path = "/api/v1/fleet?limit=1"
-    async with asyncio.timeout(PATIENCE_S):
+    async with within(PATIENCE_S):
         while (await viewer.get(path)).json()["items"][0]["id"] != "rig-2":  # noqa: ASYNC110 - nobody tells
             await asyncio.sleep(0.05)
     first = await viewer.get(path)

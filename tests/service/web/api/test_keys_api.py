@@ -1,6 +1,7 @@
 from typing import Any
 
 import pytest
+from patience import patience
 
 from service.documents.access import KeyDocument, NewKeyDocument
 from service.security.keys import create_key
@@ -34,7 +35,7 @@ async def test_a_key_is_made_shown_once_and_opens_what_its_role_may(world: Any) 
 async def test_a_revoked_key_opens_nothing_from_the_next_call_on(world: Any, by: str) -> None:
     key = create_key(world.store, "viewer")
     mine = {"X-API-Key": key.text}
-    browser = world.client(timeout=3)
+    browser = world.client(timeout=patience(3))
     assert (await browser.post("/api/v1/session", json={"key": key.text})).status_code == 200
     assert (await browser.get("/api/v1/assets")).status_code == 200
     assert (await world.client().get("/api/v1/assets", headers=mine)).status_code == 200

@@ -4,6 +4,7 @@ from typing import Any
 
 import httpx2
 import pytest
+from patience import patience
 
 ACKNOWLEDGE = "/api/v1/alarms/none/acknowledge"
 SESSION = "/api/v1/session"
@@ -29,7 +30,7 @@ async def test_a_change_from_another_site_is_refused(
 ) -> None:
     key = world.keys["operator"]
     options = {"auth": ("any", key)} if by == "basic" else {"headers": {"X-API-Key": key}}
-    client: httpx2.AsyncClient = world.client(timeout=11, **options)
+    client: httpx2.AsyncClient = world.client(timeout=patience(11), **options)
     answer = await client.post(ACKNOWLEDGE, headers=headers)
     assert answer.status_code == (DONE if allowed else REFUSED)
     assert (await client.get("/api/v1/assets", headers=headers)).status_code == 200
@@ -57,7 +58,7 @@ async def test_a_browser_is_not_asked_for_a_password_that_it_would_send_everywhe
 async def test_log_ins_of_an_address_and_of_a_key_are_counted(world: Any) -> None:
     world.limit("logins", 5)
     body = {"key": world.keys["viewer"]}
-    client = world.client(timeout=12)
+    client = world.client(timeout=patience(12))
     answers = [await client.post(SESSION, json=body) for _ in range(5)]
     assert {answer.status_code for answer in answers} == {200}
     assert (await client.post(SESSION, json=body)).status_code == 429  # this address
@@ -70,7 +71,7 @@ async def test_log_ins_of_an_address_and_of_a_key_are_counted(world: Any) -> Non
 
 
 async def test_a_gateway_that_logs_in_on_and_on_does_not_fill_the_audit_trail(world: Any) -> None:
-    client = world.client(timeout=13)
+    client = world.client(timeout=patience(13))
     for _ in range(60):
         answer = await client.post(SESSION, json={"key": world.keys["gateway"]})
         assert answer.status_code == 403
@@ -80,7 +81,7 @@ async def test_a_gateway_that_logs_in_on_and_on_does_not_fill_the_audit_trail(wo
 
 async def test_unknown_sessions_of_an_address_are_counted(world: Any) -> None:
     limit = int(world.app.state.authenticator.strangers.per_minute)
-    client, path = world.client(timeout=14), "/api/v1/assets"
+    client, path = world.client(timeout=patience(14)), "/api/v1/assets"
     name = "bearing_twin_8080"
 
     async def status(cookie: str, client: Any = client) -> int:

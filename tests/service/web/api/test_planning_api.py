@@ -4,6 +4,7 @@ import asyncio
 from typing import Any
 
 import pytest
+from patience import within
 
 from service.bus.replica import AssetReplica
 
@@ -42,7 +43,7 @@ class HeldQuestions:
         monkeypatch.setattr(AssetReplica, "compute", held)
 
     async def until_begun(self, count: int) -> None:
-        async with asyncio.timeout(30):
+        async with within(30):
             while len(self.begun) < count:  # noqa: ASYNC110
                 await asyncio.sleep(0.01)
 

@@ -2,6 +2,7 @@ from typing import Any
 
 import httpx2
 import pytest
+from patience import patience
 
 from service.documents.access import SessionDocument
 from service.security.keys import revoke_key
@@ -12,7 +13,7 @@ PAGE = {"Sec-Fetch-Site": "same-origin", "Sec-Fetch-Mode": "cors"}
 
 
 async def logged_in(world: Any, role: str = "operator", **options: Any) -> httpx2.AsyncClient:
-    client: httpx2.AsyncClient = world.client(timeout=7, **options)
+    client: httpx2.AsyncClient = world.client(timeout=patience(7), **options)
     response = await client.post(SESSION, json={"key": world.keys[role]}, headers=PAGE)
     assert response.status_code == 200, response.text
     return client

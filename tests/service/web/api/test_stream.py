@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 import uvicorn
+from patience import wait_for, within
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
@@ -50,7 +51,7 @@ class Server:
     async def stop(self) -> None:
         self.server.should_exit = True
         if self.task is not None:
-            await asyncio.wait_for(self.task, 30)
+            await wait_for(self.task, 30)
 
     @contextlib.asynccontextmanager
     async def open(
@@ -77,12 +78,12 @@ async def server(world: Any) -> AsyncIterator[Server]:
 
 
 async def receive(websocket: ClientConnection, count: int = 1) -> list[dict[str, Any]]:
-    async with asyncio.timeout(PATIENCE_S):
+    async with within(PATIENCE_S):
         return [json.loads(await websocket.recv()) for _ in range(count)]
 
 
 async def subscribed(world: Any, count: int = 1) -> None:
-    async with asyncio.timeout(PATIENCE_S):
+    async with within(PATIENCE_S):
         while world.bus.subscribers != count:  # noqa: ASYNC110 - nobody tells
             await asyncio.sleep(0.01)
 
@@ -305,7 +306,7 @@ async def test_revoked_key_ends_the_stream_within_two_seconds(world: Any, server
         await receive(websocket, 2)
         await asyncio.to_thread(revoke_key, world.store, world.keys["operator"][:11])
         with pytest.raises(ConnectionClosed) as closed:
-            async with asyncio.timeout(PATIENCE_S):
+            async with within(PATIENCE_S):
                 await websocket.recv()
         assert closed.value.rcvd is not None
         assert closed.value.rcvd.code == 1008
@@ -342,7 +343,7 @@ async def test_what_strangers_send_keeps_no_stream_open(world: Any, server: Any,
             answer = await world.client("admin").delete(f"/api/v1/keys/{prefix}")
             assert answer.status_code == 200
         with pytest.raises(ConnectionClosed) as closed:
-            async with asyncio.timeout(PATIENCE_S):
+            async with within(PATIENCE_S):
                 await websocket.recv()
         assert closed.value.rcvd is not None
         assert closed.value.rcvd.code == 1008
@@ -400,7 +401,7 @@ async def test_deaf_client_is_given_up_after_a_while(
     monkeypatch.setattr(stream, "SEND_PATIENCE_S", 0.3)
     _, writer = await deaf_client(world, server)
     await subscribed(world)
-    async with asyncio.timeout(30):
+    async with within(30):
         while world.bus.subscribers:
             world.bus.publish("measurement", "bench-1", {"fill": "x" * 200_000})
             await asyncio.sleep(0.01)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
+from patience import patience
 
 from service.features.alarm_settings import routes as alarm_settings
 from service.features.provisioning import list_routes as asset_lists
@@ -154,7 +155,7 @@ def settings(tmp_path: Path) -> Settings:
 
 @pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
 async def test_a_sheet_on_its_side_is_refused_soon(world: Any, way: Way) -> None:
-    client = world.client(way.role, timeout=60)
+    client = world.client(way.role, timeout=patience(60))
     body = way.body()
     if '"@"' in body:
         found = (await world.client("admin").get("/api/v1/commissioning")).json()
@@ -178,7 +179,7 @@ def cells_of(rows: int) -> str:
 
 
 async def test_a_sheet_of_too_many_cells_is_refused(world: Any) -> None:
-    answer = await world.client("admin", timeout=60).post(
+    answer = await world.client("admin", timeout=patience(60)).post(
         "/api/v1/assets:import", content=cells_of(5_001).encode(), headers=CSV
     )
     assert answer.status_code == 422
