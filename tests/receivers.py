@@ -23,7 +23,10 @@ PASSWORD = "correct horse"
 
 @dataclass
 class Mailbox:
-    """A mail server; `answers` has what it says to an address instead of taking it."""
+    """A mail server; `answers` has what it says to an address instead of taking it.
+
+    Those for `SIZE` are what it says to a message before it has its text.
+    """
 
     port: int
     ca_file: Path
@@ -31,6 +34,16 @@ class Mailbox:
     got: list[tuple[list[str], Message]] = field(default_factory=list)
     judge: Callable[[Message], str] | None = None  # gives the answer to a text
     options: dict[str, Any] = field(default_factory=dict)
+
+    async def handle_MAIL(  # noqa: N802
+        self, server: Any, session: Session, envelope: Envelope, address: str, options: list[str]
+    ) -> str:
+        answers = self.answers.get("SIZE")
+        if answers and any(one.startswith("SIZE=") for one in options):
+            return answers.pop(0)
+        envelope.mail_from = address
+        envelope.mail_options.extend(options)
+        return "250 OK"
 
     async def handle_RCPT(  # noqa: N802
         self, server: Any, session: Session, envelope: Envelope, address: str, options: list[str]

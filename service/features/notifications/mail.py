@@ -18,12 +18,15 @@ from service.features.notifications.sender import (
     WHOLE_S,
     ContentRefusedError,
     DeliveryError,
+    PostponedError,
     one_line,
     reason,
 )
 
 _TEMPORARY: Final = range(400, 500)
 _TOO_LARGE: Final = 552
+_NO_ROOM: Final = 452  # also the answer to a size (RFC 1870)
+_CLOSING: Final = 421
 _NO_SMTPUTF8: Final = (553, "the mail server takes no such name (it has no SMTPUTF8)")
 _FAILED: Final = 450  # in place of an answer that did not come
 #: Times that an address is refused for the time being until the others wait for it no longer.
@@ -68,6 +71,7 @@ class EmailSender:
     async def send(self, message: OutgoingMessage) -> str | None:
         """See `Sender`."""
         events = message.event_ids
+        is_again = any(one in self._done for one in events)
         first, *others = [self._done.get(one, {}) for one in events] or [{}]
         delivery = _Delivery(
             {to: line for to, line in first.items() if all(to in other for other in others)}
@@ -76,16 +80,18 @@ class EmailSender:
             async with self._client() as client:
                 answers = await self._send_to_all(client, message, delivery)
         except (aiosmtplib.SMTPException, OSError, TimeoutError, ValueError) as error:
-            raise DeliveryError(self._line(error)) from error
+            kind = PostponedError if _may_be_for_its_size(error) else DeliveryError
+            raise kind(self._line(error), is_partial=delivery.is_taken) from error
         else:
-            deferred = self._judge(answers, delivery)
+            deferred = self._judge(answers, delivery, is_again=is_again)
         finally:
             for event in events if delivery.is_taken else ():
                 self._done.setdefault(event, {}).update(delivery.done)
             for event in list(self._done)[:-_EVENTS]:
                 del self._done[event]
         if deferred:
-            raise DeliveryError(self._hidden("; ".join(deferred)))
+            text = self._hidden("; ".join(deferred))
+            raise DeliveryError(text, is_partial=delivery.is_taken)
         line = self._hidden(delivery.refused)
         if not delivery.is_taken:  # an address that is corrected gets it
             if delivery.is_for_its_text:
@@ -166,15 +172,21 @@ class EmailSender:
             del self._deferrals[address]
         return answers
 
-    def _judge(self, answers: dict[str, tuple[int, str]], delivery: _Delivery) -> list[str]:
-        """Note what is refused for good; give what is refused for the time being."""
+    def _judge(
+        self, answers: dict[str, tuple[int, str]], delivery: _Delivery, *, is_again: bool
+    ) -> list[str]:
+        """Note what is refused for good; give what is refused for the time being.
+
+        ``is_again``: whether the message came before. New ones that come fast use up no patience.
+        """
         deferred = []
         for address, (code, text) in answers.items():
             line = f"{address}: {code} {one_line(text)}"
             if code not in _TEMPORARY:
                 delivery.done[address] = line
                 continue
-            self._deferrals[address] += delivery.is_taken
+            if is_again or not self._deferrals[address]:
+                self._deferrals[address] += delivery.is_taken
             if delivery.is_taken and self._deferrals[address] >= _PATIENCE:
                 delivery.done[address] = line  # the others wait for their next message
             else:
@@ -190,3 +202,10 @@ class EmailSender:
     def _hidden(self, text: str) -> str:
         password = self._smtp.password.get_secret_value() if self._smtp.password else ""
         return one_line(text.replace(password, "***") if password else text)
+
+
+def _may_be_for_its_size(error: Exception) -> bool:
+    """Whether a server postponed a message, not the connection, for what may be its size."""
+    if isinstance(error, aiosmtplib.SMTPSenderRefused):
+        return error.code == _NO_ROOM
+    return isinstance(error, aiosmtplib.SMTPDataError) and error.code != _CLOSING

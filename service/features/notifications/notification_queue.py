@@ -5,6 +5,7 @@ import math
 import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from typing import Final
 
 import structlog
@@ -19,7 +20,12 @@ from service.features.notifications.interface import NotificationState
 from service.features.notifications.messages import Item, OutgoingMessage
 from service.features.notifications.refusals import Refusals
 from service.features.notifications.sections import NotificationSection
-from service.features.notifications.sender import ContentRefusedError, DeliveryError, Sender
+from service.features.notifications.sender import (
+    ContentRefusedError,
+    DeliveryError,
+    PostponedError,
+    Sender,
+)
 from service.features.notifications.tables import Notification
 from service.pauses import Steps
 
@@ -85,9 +91,12 @@ class NotificationQueue:
         self._give_up = give_up
         self._wake = asyncio.Event()
         self._last_s = -math.inf
-        # What could not be sent before, and what is urgent of what came since.
+        # What could not be sent before, and what is urgent of what came since: in messages that
+        # stay as they are, as some addresses may have them.
         self._batch: list[Item] = []
-        self._urgent: list[Item] = []
+        self._urgent: list[list[Item]] = []
+        # Events that were tried by themselves since a message was accepted.
+        self._tried: set[str] = set()
         self._most = MOST_ITEMS
         self._refusals = Refusals(RETRY_FIRST_S)
         # As they are now, also those that are over since.
@@ -160,7 +169,7 @@ class NotificationQueue:
                     if goes_on:
                         backoff.reset()
                     else:
-                        await asyncio.sleep(backoff.next())
+                        await self._rest(backoff.next())
         finally:
             await self._sender.close()
 
@@ -168,6 +177,46 @@ class NotificationQueue:
         """Wait until more is pending than at the last look, or a second has passed."""
         await self._wake.wait()
         self._wake.clear()
+
+    async def _rest(self, wait_s: float) -> None:
+        """Try nothing again for a while; what is urgent and new is tried once by itself.
+
+        Ends early when that is accepted: the receiver takes messages again.
+        """
+        end_s = time.monotonic() + wait_s
+        while (left_s := end_s - time.monotonic()) > 0:
+            with suppress(TimeoutError):
+                async with asyncio.timeout(left_s):
+                    await self._woken()
+            if await self._new_urgent(1):
+                urgent_s = self._last_s + URGENT_SHARE * self.section.interval_s
+                await asyncio.sleep(max(GATHER_S, urgent_s - time.monotonic()))
+                if await self._send_urgent():
+                    return
+
+    async def _new_urgent(self, most: int) -> list[Item]:
+        """What is urgent, and neither part of a message that waits nor tried by itself."""
+        known = {item.alarm.id for batch in (self._batch, *self._urgent) for item in batch}
+        return await self._due(
+            most,
+            lambda item: (
+                _is_urgent(item)
+                and item.alarm.id not in known
+                and not self._tried.issuperset(_event_ids(item))
+            ),
+        )
+
+    async def _send_urgent(self) -> bool:
+        """Try once what is urgent and new; gives whether to go on with all."""
+        urgent = await self._new_urgent(self._most)
+        urgent = [one for one in urgent if self._pending.get(one.alarm.id) is one.notification]
+        if not urgent:
+            return False
+        self._tried.update(event for item in urgent for event in _event_ids(item))
+        self._urgent.insert(0, urgent)
+        goes_on = await self._send(urgent)
+        _end_if_cancelled()
+        return goes_on
 
     async def _free_s(self) -> float:
         """Monotonic time of the next message at the earliest."""
@@ -217,13 +266,14 @@ class NotificationQueue:
         due = await self._due(self._most)
         # Nothing waits from here on until it is under way, so that no change is missed.
         self._batch = self._still_due(self._batch)
-        self._urgent = self._still_due(self._urgent)
+        self._urgent = [left for one in self._urgent if (left := self._still_due(one))]
         if self._batch and not self._urgent:
             self._urgent = [
-                one for one in urgent if self._pending.get(one.alarm.id) is one.notification
+                [one for one in urgent if self._pending.get(one.alarm.id) is one.notification]
             ]
-        if self._urgent:
-            return self._urgent
+        if any(self._urgent):
+            return self._urgent[0]
+        self._urgent = []
         self._batch = self._batch or due or self._refused_and_due()
         return self._batch
 
@@ -247,7 +297,11 @@ class NotificationQueue:
             return await self._divide(items, error)
         except DeliveryError as error:
             self.delivery.fail(str(error))
-            return False
+            if error.is_partial:
+                self._last_s = time.monotonic()
+            elif items is not self._batch:  # it goes with what else becomes urgent
+                self._put_instead(items, [])
+            return isinstance(error, PostponedError) and await self._postpone(items)
         except Exception as unexpected:
             # Whatever it was: it is tried again, and the service goes on.
             _log.exception("notification_failed", notification=self.section.id)
@@ -256,6 +310,7 @@ class NotificationQueue:
         self.delivery.accept(detail)
         self.delivery.sent_us, self._last_s = wall_us(), time.monotonic()
         self._refusals.note_accepted(items)
+        self._tried.clear()
         self._most = min(MOST_ITEMS, 2 * self._most)
         self._put_instead(items, [])
         self._finish(items, rules.sent)
@@ -283,11 +338,7 @@ class NotificationQueue:
     async def _divide(self, items: Sequence[Item], error: ContentRefusedError) -> bool:
         """Halve what a receiver refuses, down to one alarm, and go on: one alone waits."""
         if len(items) > 1:
-            self._most = len(items) // 2
-            self._put_instead(items, items[: self._most])
-            self._refusals.note_together(
-                item.alarm.id for item in items if item.alarm.id in self._pending
-            )
+            self._halve(items)
             return True
         (item,) = items
         self._put_instead(items, [])
@@ -300,12 +351,45 @@ class NotificationQueue:
         await asyncio.sleep(RETRY_FIRST_S)
         return True
 
+    async def _postpone(self, items: Sequence[Item]) -> bool:
+        """Halve what a receiver postpones again, and let one alone wait; none is given up for it.
+
+        Gives whether to go on at once.
+        """
+        if not self._refusals.knows_any(items):
+            self._note_together(items)
+            return False
+        goes_on = True
+        if len(items) > 1:
+            self._halve(items)
+        else:
+            (item,) = items
+            self._put_instead(items, [])
+            if item.alarm.id in self._pending:
+                goes_on = self._refusals.holds(item)
+                self._refusals.note_alone(item, is_final=False)
+        if goes_on:
+            await asyncio.sleep(RETRY_FIRST_S)
+        return goes_on
+
+    def _halve(self, items: Sequence[Item]) -> None:
+        self._most = len(items) // 2
+        self._put_instead(items, items[: self._most])
+        self._note_together(items)
+
+    def _note_together(self, items: Sequence[Item]) -> None:
+        """Note alarms whose common message was refused, of those that are still pending."""
+        self._refusals.note_together(
+            item.alarm.id for item in items if item.alarm.id in self._pending
+        )
+
     def _put_instead(self, items: Sequence[Item], left: Sequence[Item]) -> None:
         """Keep what is left of the batch that was under way."""
-        if items is self._urgent:
-            self._urgent = list(left)
-        else:
+        if items is self._batch:
             self._batch = list(left)
+        else:
+            self._urgent = [list(left) if one is items else one for one in self._urgent]
+            self._urgent = [one for one in self._urgent if one]
 
     def _drop(self, item: Item, error: str) -> None:
         """Give up what is said of an alarm, and say so."""
@@ -330,6 +414,10 @@ def _end_if_cancelled() -> None:
     task = asyncio.current_task()
     if task is not None and task.cancelling():
         raise asyncio.CancelledError
+
+
+def _event_ids(item: Item) -> list[str]:
+    return [f"{item.alarm.id}:{event}" for event in item.events]
 
 
 def _is_urgent(item: Item) -> bool:

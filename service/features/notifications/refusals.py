@@ -59,6 +59,10 @@ class Refusals:
             return []
         return sorted(self._alone, key=lambda id: self._alone[id].last_at)
 
+    def knows_any(self, items: Iterable[Item]) -> bool:
+        """Whether a message with some of these alarms was refused."""
+        return any(item.alarm.id in self._suspects for item in items)
+
     def note_together(self, alarm_ids: Iterable[str]) -> None:
         """Note alarms whose common message was refused."""
         for alarm_id in alarm_ids:
@@ -71,7 +75,8 @@ class Refusals:
         first, or has refused it for too long.
         """
         alarm_id, now = item.alarm.id, time.monotonic()
-        if not self.holds(item):
+        # What is refused for good counts from the first time that it is.
+        if not self.holds(item) or (is_final and not self._alone[alarm_id].is_final):
             accepted = self._suspects.get(alarm_id, self._accepted)
             self._alone[alarm_id] = _Refusal(item.events, accepted, is_final, now, now)
         refusal = self._alone[alarm_id]

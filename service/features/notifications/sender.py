@@ -12,7 +12,21 @@ _DETAIL_MAX: Final = 300
 
 
 class DeliveryError(BearingTwinError):
-    """A message was not accepted; the text says why in one line, without any secret."""
+    """A message was not accepted; the text says why in one line, without any secret.
+
+    Attributes
+    ----------
+    is_partial : bool
+        Whether some of several addresses have it.
+    """
+
+    def __init__(self, text: str, *, is_partial: bool = False) -> None:
+        super().__init__(text)
+        self.is_partial = is_partial
+
+
+class PostponedError(DeliveryError):
+    """A receiver does not take a message for the time being; it may be too large for it."""
 
 
 class ContentRefusedError(DeliveryError):
@@ -35,7 +49,8 @@ class Sender(Protocol):
     async def send(self, message: OutgoingMessage) -> str | None:
         """Send a message; gives what is wrong with some of several addresses, if anything.
 
-        Raises `DeliveryError` if it is to be tried again, `ContentRefusedError` if in parts.
+        Raises `DeliveryError` if it is to be tried again, `ContentRefusedError` if in parts,
+        `PostponedError` if as it is first, then in parts.
         """
 
     async def close(self) -> None:

@@ -21,7 +21,7 @@ from receivers import PASSWORD, Hook, Mailbox
 
 from service.alarms import AlarmBook
 from service.alarms.silencing import Silencing
-from service.features.notifications import mail, refusals
+from service.features.notifications import mail, notification_queue, refusals
 from service.features.notifications.part import Notifier
 from service.features.notifications.tables import NotificationRecords
 from service.features.silences.part import KnownSilences
@@ -265,6 +265,167 @@ async def test_a_mail_that_is_refused_for_its_text_is_halved(
     texts = "".join(message.get_content() for _, message in mailbox.got)  # type: ignore[attr-defined]
     for number in range(8):
         assert texts.count(f"kind {number},") == (number != 2)
+
+
+def text_of(message: Message) -> str:
+    text = message.get_content()  # type: ignore[attr-defined]
+    assert isinstance(text, str)
+    return text
+
+
+@pytest.mark.parametrize("step", ["DATA", "MAIL"])
+async def test_a_mail_that_is_too_large_for_the_time_being_is_halved(
+    bench: Bench, mailbox: Mailbox, monkeypatch: pytest.MonkeyPatch, step: str
+) -> None:
+    monkeypatch.setattr(notification_queue, "RETRY_LAST_S", 0.2)
+    too_large = "452 message too large at the moment"
+    tries = []
+
+    def judge(message: Message) -> str:
+        tries.append(text_of(message).count("RAISED"))
+        return too_large if step == "DATA" and tries[-1] > 3 else "250 taken"
+
+    mailbox.judge = judge
+    if step == "MAIL":
+        mailbox.answers["SIZE"] = [too_large] * 4
+    async with Notified(bench, site(mailbox=mailbox)) as notified:
+        for number in range(8):
+            notified.raise_alarm(kind=f"kind {number}", priority=3)
+        await quiet(notified)
+        (state,) = await notified.notifier.states()
+        assert (state.given_up, state.waiting, state.tries, state.error) == (0, 0, 0, "")
+    texts = "".join(text_of(message) for _, message in mailbox.got)
+    for number in range(8):
+        assert texts.count(f"kind {number},") == 1
+    if step == "DATA":
+        assert tries[:2] == [8, 8], "the first refusal may have another reason"
+    assert len(mailbox.got) > 1
+
+
+async def test_one_mail_that_is_always_postponed_stops_no_other_and_is_never_given_up(
+    bench: Bench, mailbox: Mailbox, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(refusals, "REFUSED_FOR_S", 0.1)
+    monkeypatch.setattr(refusals, "LAST_S", 0.2)
+    odd, postponed = "kind 3,", 0
+
+    def judge(message: Message) -> str:
+        nonlocal postponed
+        is_odd = bool(odd) and odd in text_of(message)
+        postponed += is_odd
+        return "451 try again later" if is_odd else "250 taken"
+
+    mailbox.judge = judge
+    async with Notified(bench, site(mailbox=mailbox)) as notified:
+        for number in range(4):
+            notified.raise_alarm(kind=f"kind {number}", priority=3)
+        await until(lambda: "".join(text_of(m) for _, m in mailbox.got).count("RAISED") == 3,
+                    "the others")  # fmt: skip
+        tries = postponed
+        await until(lambda: postponed > tries + 4, "more tries than a refusal has")
+        other = notified.raise_alarm(asset="bench-2", priority=3)
+        await until(lambda: "bench-2" in text_of(mailbox.got[-1][1]), f"a later one, {other}")
+        (state,) = await notified.notifier.states()
+        assert (state.given_up, state.waiting) == (0, 1)
+        odd = ""
+        await until(lambda: "kind 3," in text_of(mailbox.got[-1][1]), "the odd one")
+
+
+async def test_a_mail_that_is_refused_for_good_after_it_was_postponed_is_tried_twice(
+    bench: Bench, mailbox: Mailbox, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(refusals, "REFUSED_FOR_S", 0.1)
+    answer, tries = "451 later", 0
+
+    def judge(message: Message) -> str:
+        nonlocal tries
+        tries += 1
+        return answer if "kind 1," in text_of(message) else "250 taken"
+
+    mailbox.judge = judge
+    async with Notified(bench, site(mailbox=mailbox)) as notified:
+        notified.raise_alarm(kind="kind 1", priority=3)
+        await until(lambda: tries > 4, "some tries")
+        notified.raise_alarm(asset="bench-2", priority=3)
+        await until(lambda: mailbox.got, "the other")
+        answer, tries = "554 no", 0
+        await quiet(notified)
+        (state,) = await notified.notifier.states()
+        assert state.given_up == 1
+        assert tries >= 2, "once for good after others were accepted is not enough"
+
+
+@pytest.mark.parametrize("why", ["an address", "all", "the server"])
+async def test_priority_1_waits_for_no_back_off_of_an_earlier_message(
+    bench: Bench, mailbox: Mailbox, monkeypatch: pytest.MonkeyPatch, why: str
+) -> None:
+    monkeypatch.setattr(notification_queue, "RETRY_FIRST_S", 3600.0)
+    monkeypatch.setattr(notification_queue, "RETRY_LAST_S", 3600.0)
+    answers = {"b@example.com": ["450 greylisted"] * 99}
+    if why == "all":
+        answers["a@example.com"] = ["450 greylisted"]
+    mailbox.answers = answers
+    settings = site(mailbox=mailbox)
+    if why == "the server":
+        mailbox.judge = lambda message: "421 closing" if "kind 0," in text_of(message) else "250 ok"
+        mailbox.answers = {}
+    async with Notified(bench, settings) as notified:
+        notified.raise_alarm(kind="kind 0", priority=1)
+        await until(notified.tries, "the back-off")
+        earlier = len(mailbox.got)
+        low = notified.raise_alarm(kind="low", priority=3)
+        for number in range(1, 4):
+            notified.raise_alarm(kind=f"kind {number}", priority=1)
+            await until(
+                lambda number=number: (
+                    mailbox.got  # type: ignore[misc]
+                    and f"kind {number}," in text_of(mailbox.got[-1][1])
+                ),
+                "the urgent one",
+            )
+        await asyncio.sleep(1.0)
+        texts = [text_of(message) for _, message in mailbox.got[earlier:]]
+        assert len(texts) == 3, "each was tried once"
+        assert low
+    if why != "the server":
+        assert len(answers["b@example.com"]) == 99 - 4
+
+
+async def test_urgent_mails_that_an_address_postpones_reach_all_once(
+    bench: Bench, mailbox: Mailbox, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(mail, "_PATIENCE", 3)
+    monkeypatch.setattr(notification_queue, "RETRY_FIRST_S", 12.0)
+    later = mailbox.answers["b@example.com"] = ["450 greylisted"] * 99
+    async with Notified(bench, site(mailbox=mailbox)) as notified:
+        for number in range(6):
+            notified.raise_alarm(kind=f"kind {number}", priority=1)
+            await until(lambda number=number: len(mailbox.got) == number + 1, "one")  # type: ignore[misc]
+        later.clear()  # as greylisting ends, after fewer tries of one message than are its patience
+        await quiet(notified)
+    for address in ("a@example.com", "b@example.com"):
+        texts = "".join(text_of(m) for recipients, m in mailbox.got if address in recipients)
+        for number in range(6):
+            assert texts.count(f"  kind {number},") == 1, (address, number)
+
+
+async def test_urgent_posts_of_an_outage_go_out_together_after_it(bench: Bench, hook: Hook) -> None:
+    fails = True
+    refuses(hook, lambda events: 503 if fails else 204)
+    async with Notified(bench, site(hook)) as notified:
+        for number in range(5):
+            notified.raise_alarm(kind=f"kind {number}", priority=1)
+            await until(
+                lambda number=number: (
+                    hook.posts  # type: ignore[misc]
+                    and f"kind {number}" in hook.posts[-1][2].decode()
+                ),
+                "its try",
+            )
+        fails = False
+        await quiet(notified)
+    assert len({id for _, id in events(hook)}) == len(events(hook)) == 5
+    assert len(hook.taken) <= 2
 
 
 async def test_an_address_that_is_refused_for_the_time_being_doubles_no_mail(
