@@ -8,7 +8,10 @@ from service.features.silences import part as silences
 from tests.service.cli.conftest import cli, commands, refused
 from tests.service.web.api.conftest import empty_store, patient, settings, world
 
+from .notified import bench
+
 __all__ = [
+    "bench",
     "cli",
     "commands",
     "empty_store",

@@ -10,9 +10,7 @@ from receivers import Hook, Mailbox
 from service.features.silences.tables import Silence, Silences
 from service.site.settings import Settings
 
-from .test_notifier import Notified, bench, events, quiet, site, until
-
-__all__ = ["bench"]
+from .notified import Notified, events, quiet, site, until
 
 pytestmark = pytest.mark.wires
 

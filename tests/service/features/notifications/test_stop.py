@@ -9,9 +9,7 @@ from receivers import Hook
 
 from service.features.notifications.messages import OutgoingMessage
 
-from .test_notifier import Notified, bench, site
-
-__all__ = ["bench"]
+from .notified import Notified, site
 
 pytestmark = pytest.mark.wires
 
