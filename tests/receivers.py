@@ -23,24 +23,22 @@ PASSWORD = "correct horse"
 
 @dataclass
 class Mailbox:
-    """A mail server; `answers` has what it says to an address instead of taking it.
-
-    Those for `SIZE` are what it says to a message before it has its text.
-    """
+    """A mail server; `answers` has what it says to an address instead of taking it."""
 
     port: int
     ca_file: Path
     answers: dict[str, list[str]] = field(default_factory=dict)
     got: list[tuple[list[str], Message]] = field(default_factory=list)
     judge: Callable[[Message], str] | None = None  # gives the answer to a text
+    judge_size: Callable[[], str | None] = lambda: None  # gives one to a size, before the text
     options: dict[str, Any] = field(default_factory=dict)
 
     async def handle_MAIL(  # noqa: N802
         self, server: Any, session: Session, envelope: Envelope, address: str, options: list[str]
     ) -> str:
-        answers = self.answers.get("SIZE")
-        if answers and any(one.startswith("SIZE=") for one in options):
-            return answers.pop(0)
+        answer = self.judge_size() if any(one.startswith("SIZE=") for one in options) else None
+        if answer is not None:
+            return answer
         envelope.mail_from = address
         envelope.mail_options.extend(options)
         return "250 OK"

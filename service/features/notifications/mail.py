@@ -80,8 +80,10 @@ class EmailSender:
             async with self._client() as client:
                 answers = await self._send_to_all(client, message, delivery)
         except (aiosmtplib.SMTPException, OSError, TimeoutError, ValueError) as error:
-            kind = PostponedError if _may_be_for_its_size(error) else DeliveryError
-            raise kind(self._line(error), is_partial=delivery.is_taken) from error
+            line = self._line(error)
+            if _may_be_for_its_size(error):
+                raise PostponedError(line) from error
+            raise DeliveryError(line, is_partial=delivery.is_taken) from error
         else:
             deferred = self._judge(answers, delivery, is_again=is_again)
         finally:
@@ -162,8 +164,11 @@ class EmailSender:
         except (aiosmtplib.SMTPDataError, aiosmtplib.SMTPSenderRefused) as error:
             is_sender = isinstance(error, aiosmtplib.SMTPSenderRefused)
             if error.code in _TEMPORARY or (is_sender and error.code != _TOO_LARGE):
-                raise
-            delivery.is_for_its_text = True
+                # What others have is not too large: it counts as said of these addresses.
+                if not (delivery.is_taken and _may_be_for_its_size(error)):
+                    raise
+            else:
+                delivery.is_for_its_text = True
             return dict.fromkeys(group, (error.code, error.message))
         answers = {named[one]: (answer.code, answer.message) for one, answer in refused.items()}
         taken = {one for one in group if one not in answers}

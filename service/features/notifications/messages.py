@@ -41,6 +41,11 @@ class Item:
         """The alarm."""
         return self.notification.alarm
 
+    @property
+    def event_ids(self) -> list[str]:
+        """By which a recipient knows an event again."""
+        return [f"{self.alarm.id}:{event}" for event in self.events]
+
 
 @dataclass(frozen=True, slots=True)
 class OutgoingMessage:
@@ -65,8 +70,8 @@ class OutgoingMessage:
 
     @property
     def event_ids(self) -> list[str]:
-        """By which a recipient knows an event again."""
-        return [f"{one.alarm.id}:{event}" for one in self.items for event in one.events]
+        """Of all items."""
+        return [event_id for one in self.items for event_id in one.event_ids]
 
     def document(self, message_id: str) -> NotificationMessage:
         """Give the body of a webhook."""
@@ -77,13 +82,13 @@ class OutgoingMessage:
             sent_at=rfc3339(wall_us()),
             events=[
                 NotificationEvent(
-                    id=f"{one.alarm.id}:{event}",
+                    id=event_id,
                     event=kind_of(event),
                     asset_name=self._name(one.alarm),
                     alarm=alarm_document(one.alarm),
                 )
                 for one in self.items
-                for event in one.events
+                for event, event_id in zip(one.events, one.event_ids, strict=True)
             ],
         )
 

@@ -4,8 +4,7 @@ import asyncio
 import math
 import sys
 import time
-from collections.abc import Callable, Iterable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Container, Iterable, Sequence
 from typing import Final
 
 import structlog
@@ -91,13 +90,13 @@ class NotificationQueue:
         self._give_up = give_up
         self._wake = asyncio.Event()
         self._last_s = -math.inf
-        # What could not be sent before, and what is urgent of what came since: in messages that
-        # stay as they are, as some addresses may have them.
-        self._batch: list[Item] = []
-        self._urgent: list[list[Item]] = []
-        # Events that were tried by themselves since a message was accepted.
+        # Messages that could not be sent: they stay as they are, as some addresses may have them.
+        # The first is the one that is sent; what is urgent and came later goes before the others.
+        self._messages: list[list[Item]] = []
+        # Events that were tried since a message was accepted.
         self._tried: set[str] = set()
         self._most = MOST_ITEMS
+        self._backoff = Backoff(RETRY_FIRST_S, RETRY_LAST_S)
         self._refusals = Refusals(RETRY_FIRST_S)
         # As they are now, also those that are over since.
         self._under_way: dict[str, Notification] = {}
@@ -155,7 +154,6 @@ class NotificationQueue:
     # ------------------------------------------------------------------ sending
     async def run(self) -> None:
         """Send what is pending, until cancelled."""
-        backoff = Backoff(RETRY_FIRST_S, RETRY_LAST_S)
         try:
             while True:
                 while not (await self._due(1) or self._refused_and_due()):
@@ -163,60 +161,48 @@ class NotificationQueue:
                 await asyncio.sleep(GATHER_S)
                 while time.monotonic() < await self._free_s():
                     await self._woken()
-                while items := await self._next_batch():
-                    goes_on = await self._send(items)
-                    _end_if_cancelled()
-                    if goes_on:
-                        backoff.reset()
-                    else:
-                        await self._rest(backoff.next())
+                while items := await self._next_message():
+                    rest_s = await self._send(items)
+                    await self._rest(self._backoff.next() if rest_s is None else rest_s)
         finally:
             await self._sender.close()
 
     async def _woken(self) -> None:
-        """Wait until more is pending than at the last look, or a second has passed."""
+        """Wait until a notification has changed since the last look, or a second has passed."""
         await self._wake.wait()
         self._wake.clear()
 
-    async def _rest(self, wait_s: float) -> None:
+    async def _rest(self, rest_s: float) -> None:
         """Try nothing again for a while; what is urgent and new is tried once by itself.
 
         Ends early when that is accepted: the receiver takes messages again.
         """
-        end_s = time.monotonic() + wait_s
+        end_s = time.monotonic() + rest_s
         while (left_s := end_s - time.monotonic()) > 0:
-            with suppress(TimeoutError):
-                async with asyncio.timeout(left_s):
-                    await self._woken()
-            if await self._new_urgent(1):
-                urgent_s = self._last_s + URGENT_SHARE * self.section.interval_s
-                await asyncio.sleep(max(GATHER_S, urgent_s - time.monotonic()))
-                if await self._send_urgent():
+            # Changes of alarms that wait do not wake it: of thousands, each would be a look at all.
+            await asyncio.sleep(min(GATHER_S, left_s))
+            if time.monotonic() < self._last_s + URGENT_SHARE * self.section.interval_s:
+                continue
+            if urgent := await self._urgent(self._tried):
+                self._messages.insert(0, urgent)
+                if await self._send(urgent) == 0:
                     return
 
-    async def _new_urgent(self, most: int) -> list[Item]:
-        """What is urgent, and neither part of a message that waits nor tried by itself."""
-        known = {item.alarm.id for batch in (self._batch, *self._urgent) for item in batch}
+    async def _urgent(self, tried: Container[str] = ()) -> list[Item]:
+        """What is urgent and in no message that waits, if not all of its events were tried."""
+        waiting = self._waiting()
         return await self._due(
-            most,
+            self._most,
             lambda item: (
                 _is_urgent(item)
-                and item.alarm.id not in known
-                and not self._tried.issuperset(_event_ids(item))
+                and item.alarm.id not in waiting
+                and any(event not in tried for event in item.event_ids)
             ),
         )
 
-    async def _send_urgent(self) -> bool:
-        """Try once what is urgent and new; gives whether to go on with all."""
-        urgent = await self._new_urgent(self._most)
-        urgent = [one for one in urgent if self._pending.get(one.alarm.id) is one.notification]
-        if not urgent:
-            return False
-        self._tried.update(event for item in urgent for event in _event_ids(item))
-        self._urgent.insert(0, urgent)
-        goes_on = await self._send(urgent)
-        _end_if_cancelled()
-        return goes_on
+    def _waiting(self) -> set[str]:
+        """Alarms in messages that could not be sent."""
+        return {item.alarm.id for message in self._messages for item in message}
 
     async def _free_s(self) -> float:
         """Monotonic time of the next message at the earliest."""
@@ -242,80 +228,87 @@ class NotificationQueue:
         # What has changed meanwhile wakes its reader.
         return [item for item in items if self._pending.get(item.alarm.id) is item.notification]
 
-    def _refused_and_due(self) -> list[Item]:
+    def _refused_and_due(self, is_asked: Callable[[Item], bool] = lambda item: True) -> list[Item]:
         """Give what was refused alone and not tried for the longest time, to be tried alone."""
-        now_us, silencing = self._clock.now_us(), self._silencing()
+        now_us, silencing, waiting = self._clock.now_us(), self._silencing(), self._waiting()
         for alarm_id in self._refusals.due():
             notification = self._pending[alarm_id]
             item = Item(notification, rules.due(notification, silencing, now_us))
-            if self._refusals.holds(item):
+            if alarm_id not in waiting and self._refusals.holds(item) and is_asked(item):
                 return [item]
         return []
 
-    async def _next_batch(self) -> list[Item]:
-        """What goes out next: what could not be sent before, as long as all of it is pending.
-
-        What is urgent and came since goes before that.
-        """
-        urgent: list[Item] = []
-        if self._batch:
-            known = {item.alarm.id for item in self._batch}
-            urgent = await self._due(
-                self._most, lambda item: _is_urgent(item) and item.alarm.id not in known
-            )
+    async def _next_message(self) -> list[Item]:
+        """What goes out next: what is urgent, then what could not be sent, then all that is due."""
+        urgent = await self._urgent()
         due = await self._due(self._most)
         # Nothing waits from here on until it is under way, so that no change is missed.
-        self._batch = self._still_due(self._batch)
-        self._urgent = [left for one in self._urgent if (left := self._still_due(one))]
-        if self._batch and not self._urgent:
-            self._urgent = [
-                [one for one in urgent if self._pending.get(one.alarm.id) is one.notification]
-            ]
-        if any(self._urgent):
-            return self._urgent[0]
-        self._urgent = []
-        self._batch = self._batch or due or self._refused_and_due()
-        return self._batch
+        urgent = self._still_due(urgent)
+        self._messages = [left for one in self._messages if (left := self._still_due(one))]
+        message = urgent
+        if not self._messages:
+            known = {item.alarm.id for item in urgent}
+            message = [*urgent, *(one for one in due if one.alarm.id not in known)][: self._most]
+        if not urgent:
+            message = self._refused_and_due(_is_urgent) or message
+        if not (message or self._messages):
+            message = self._refused_and_due()
+        if message:
+            self._messages.insert(0, message)
+        return self._messages[0] if self._messages else []
 
-    def _still_due(self, batch: Sequence[Item]) -> list[Item]:
-        """Give a batch as it is now; nothing if not all of it is to be sent any more."""
+    def _still_due(self, message: Sequence[Item]) -> list[Item]:
+        """Give what is still to be sent of a message, as it is now.
+
+        It is not joined with anything else: some addresses may have it.
+        """
         now_us, silencing = self._clock.now_us(), self._silencing()
-        again = []
-        for item in batch:
-            notification = self._pending.get(item.alarm.id)
-            if notification and set(item.events) <= set(rules.due(notification, silencing, now_us)):
-                again.append(Item(notification, item.events))
-        return again if len(again) == len(batch) else []
+        left = []
+        for item in message:
+            if notification := self._pending.get(item.alarm.id):
+                due = rules.due(notification, silencing, now_us)
+                if events := tuple(event for event in item.events if event in due):
+                    left.append(Item(notification, events))
+        return left
 
-    async def _send(self, items: Sequence[Item]) -> bool:
-        """Send a message; gives whether to go on at once."""
+    async def _send(self, items: Sequence[Item]) -> float | None:
+        """Send the first message; gives wall seconds of rest, None for those of the back-off."""
         message = OutgoingMessage(self.section.id, items, self._name_of)
         self._under_way = {item.alarm.id: item.notification for item in items}
+        self._tried.update(message.event_ids)
+        rest_s: float | None = None
         try:
             detail = await self._sender.send(message) or ""
         except ContentRefusedError as error:
-            return await self._divide(items, error)
+            rest_s = self._refuse(items, error)
+        except PostponedError as error:
+            self.delivery.fail(str(error))
+            rest_s = self._postpone(items)
         except DeliveryError as error:
             self.delivery.fail(str(error))
-            if error.is_partial:
-                self._last_s = time.monotonic()
-            elif items is not self._batch:  # it goes with what else becomes urgent
-                self._put_instead(items, [])
-            return isinstance(error, PostponedError) and await self._postpone(items)
+            self._keep_for_later(is_partial=error.is_partial)
         except Exception as unexpected:
             # Whatever it was: it is tried again, and the service goes on.
             _log.exception("notification_failed", notification=self.section.id)
             refused = ContentRefusedError(type(unexpected).__name__, is_final=False)
-            return await self._divide(items, refused)
+            rest_s = self._refuse(items, refused)
+        else:
+            self._accept(items, detail)
+            rest_s = 0.0
+        _end_if_cancelled()
+        return rest_s
+
+    def _accept(self, items: Sequence[Item], detail: str) -> None:
+        """Note that the first message was accepted."""
         self.delivery.accept(detail)
         self.delivery.sent_us, self._last_s = wall_us(), time.monotonic()
         self._refusals.note_accepted(items)
+        self._backoff.reset()
         self._tried.clear()
         self._most = min(MOST_ITEMS, 2 * self._most)
-        self._put_instead(items, [])
+        del self._messages[0]
         self._finish(items, rules.sent)
         _log.info("notification_sent", notification=self.section.id, alarms=len(items))
-        return True
 
     def _finish(
         self,
@@ -335,46 +328,51 @@ class NotificationQueue:
         self._under_way = {}
         self._keep(changed)
 
-    async def _divide(self, items: Sequence[Item], error: ContentRefusedError) -> bool:
-        """Halve what a receiver refuses, down to one alarm, and go on: one alone waits."""
+    def _keep_for_later(self, *, is_partial: bool) -> None:
+        """Let the first message wait; what is urgent and no address has goes with what follows."""
+        if is_partial:
+            self._last_s = time.monotonic()
+        elif len(self._messages) > 1:
+            del self._messages[0]
+
+    def _refuse(self, items: Sequence[Item], error: ContentRefusedError) -> float:
+        """Halve the first message, down to one alarm, which waits; gives wall seconds of rest."""
         if len(items) > 1:
             self._halve(items)
-            return True
+            return 0.0
         (item,) = items
-        self._put_instead(items, [])
+        del self._messages[0]
         if item.alarm.id not in self._pending:  # shelved, say, while it was under way
-            return True
+            return 0.0
         if self._refusals.note_alone(item, is_final=error.is_final):
             self._drop(item, str(error))
         else:
             self.delivery.fail(str(error))
-        await asyncio.sleep(RETRY_FIRST_S)
-        return True
+        return RETRY_FIRST_S
 
-    async def _postpone(self, items: Sequence[Item]) -> bool:
-        """Halve what a receiver postpones again, and let one alone wait; none is given up for it.
+    def _postpone(self, items: Sequence[Item]) -> float | None:
+        """Halve the first message when it is postponed again, and let one alarm alone wait.
 
-        Gives whether to go on at once.
+        None is given up for it. Gives wall seconds of rest, None for those of the back-off.
         """
         if not self._refusals.knows_any(items):
             self._note_together(items)
-            return False
-        goes_on = True
+            self._keep_for_later(is_partial=False)
+            return None
         if len(items) > 1:
             self._halve(items)
-        else:
-            (item,) = items
-            self._put_instead(items, [])
-            if item.alarm.id in self._pending:
-                goes_on = self._refusals.holds(item)
-                self._refusals.note_alone(item, is_final=False)
-        if goes_on:
-            await asyncio.sleep(RETRY_FIRST_S)
-        return goes_on
+            return RETRY_FIRST_S
+        (item,) = items
+        del self._messages[0]
+        is_held = self._refusals.holds(item)
+        if item.alarm.id in self._pending:
+            self._refusals.note_alone(item, is_final=False)
+        return RETRY_FIRST_S if is_held else None
 
     def _halve(self, items: Sequence[Item]) -> None:
+        """Keep the first half of the first message; the other is gathered again."""
         self._most = len(items) // 2
-        self._put_instead(items, items[: self._most])
+        self._messages[0] = list(items[: self._most])
         self._note_together(items)
 
     def _note_together(self, items: Sequence[Item]) -> None:
@@ -382,14 +380,6 @@ class NotificationQueue:
         self._refusals.note_together(
             item.alarm.id for item in items if item.alarm.id in self._pending
         )
-
-    def _put_instead(self, items: Sequence[Item], left: Sequence[Item]) -> None:
-        """Keep what is left of the batch that was under way."""
-        if items is self._batch:
-            self._batch = list(left)
-        else:
-            self._urgent = [list(left) if one is items else one for one in self._urgent]
-            self._urgent = [one for one in self._urgent if one]
 
     def _drop(self, item: Item, error: str) -> None:
         """Give up what is said of an alarm, and say so."""
@@ -414,10 +404,6 @@ def _end_if_cancelled() -> None:
     task = asyncio.current_task()
     if task is not None and task.cancelling():
         raise asyncio.CancelledError
-
-
-def _event_ids(item: Item) -> list[str]:
-    return [f"{item.alarm.id}:{event}" for event in item.events]
 
 
 def _is_urgent(item: Item) -> bool:

@@ -27,9 +27,9 @@ __all__ = [
 @pytest.fixture
 def prompt(monkeypatch: pytest.MonkeyPatch) -> None:
     """Wall seconds of gathering and retrying are short."""
-    monkeypatch.setattr(notification_queue, "GATHER_S", 0.2)
-    monkeypatch.setattr(notification_queue, "RETRY_FIRST_S", 0.1)
-    monkeypatch.setattr(refusals, "LAST_S", 0.4)
+    monkeypatch.setattr(notification_queue, "GATHER_S", 0.1)
+    monkeypatch.setattr(notification_queue, "RETRY_FIRST_S", 0.05)
+    monkeypatch.setattr(refusals, "LAST_S", 0.2)
     monkeypatch.setattr(part, "TICK_S", 0.02)
     monkeypatch.setattr(part, "LOOK_S", 0.1)
     monkeypatch.setattr(silences, "READ_S", 0.1)

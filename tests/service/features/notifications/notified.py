@@ -22,6 +22,16 @@ from service.site.settings import Settings
 PATIENCE_S = 60.0
 
 
+class CountingNotifier(Notifier):
+    """Counts its looks for what time brings."""
+
+    looks = 0
+
+    async def _look(self) -> None:
+        await super()._look()
+        self.looks += 1
+
+
 class Notified:
     """An alarm book whose alarms are sent, on the store of a bench, unless they are silenced."""
 
@@ -37,7 +47,7 @@ class Notified:
         silences = KnownSilences(
             bench.store, bench.clock, bench.outbox, loaded_by_us=self.loaded_by_us
         )
-        self.notifier = Notifier(
+        self.notifier = CountingNotifier(
             self.settings, bench.store, bench.outbox, bench.clock,
             lambda asset: (f"Bench {asset}", "Motor 2019"), self.book, lambda: silences,
             CollectorRegistry(), self.loaded_by_us,
@@ -113,9 +123,15 @@ async def until(holds: Callable[[], Any], what: str) -> Any:
     raise AssertionError(f"{what} did not happen in {PATIENCE_S:g} s")
 
 
+async def looked(notified: Notified, times: int) -> None:
+    """Wait until it has taken in what came before, and looked for what time brings."""
+    looks = notified.notifier.looks + times
+    await until(lambda: notified.notifier.looks >= looks, "looks")
+
+
 async def quiet(notified: Notified) -> None:
     """Wait until all that may be sent now has been sent."""
-    await asyncio.sleep(1.0)
+    await looked(notified, 2)
 
     async def all_is_sent() -> bool:
         return all(one.waiting == one.held for one in await notified.notifier.states())

@@ -115,7 +115,8 @@ async def test_a_mail_that_is_too_large_for_the_time_being_is_halved(
 
     mailbox.judge = judge
     if step == "MAIL":
-        mailbox.answers["SIZE"] = [too_large] * 4
+        left = [too_large] * 4
+        mailbox.judge_size = lambda: left.pop() if left else None
     async with Notified(bench, site(mailbox=mailbox)) as notified:
         for number in range(8):
             notified.raise_alarm(kind=f"kind {number}", priority=3)
@@ -256,3 +257,51 @@ async def test_a_wrong_password_is_said_without_it(bench: Bench, mailbox: Mailbo
         assert state.waiting == 1
         assert state.failing_since_us is not None
     assert not mailbox.got
+
+
+async def test_a_message_that_becomes_shorter_is_not_joined_with_what_came_since(
+    bench: Bench, mailbox: Mailbox
+) -> None:
+    later = mailbox.answers["b@example.com"] = ["450 later"] * 999
+    async with Notified(bench, site(mailbox=mailbox)) as notified:
+        first = notified.raise_alarm(kind="first", priority=3)
+        notified.raise_alarm(kind="second", priority=3)
+        await until(lambda: mailbox.got, "the first mail")
+        notified.book.shelve(first, 600, "operator")
+        notified.raise_alarm(kind="third", priority=3)
+        await until(lambda: len(later) < 996, "further tries")
+        later.clear()
+        await quiet(notified)
+    for address in ("a@example.com", "b@example.com"):
+        texts = "".join(text_of(m) for recipients, m in mailbox.got if address in recipients)
+        for kind in ("second", "third"):
+            assert texts.count(f"  {kind},") == 1, (address, kind)
+
+
+@pytest.mark.parametrize("step", ["DATA", "MAIL"])
+async def test_an_address_whose_text_is_always_postponed_delays_no_other_message(
+    bench: Bench, mailbox: Mailbox, monkeypatch: pytest.MonkeyPatch, step: str
+) -> None:
+    monkeypatch.setattr(mail, "_PATIENCE", 3)
+    full, is_full = "452 mailbox full", True
+    mailbox.answers["b@example.com"] = ["450 later"]
+
+    def judge(message: Message) -> str:
+        return full if step == "DATA" and mailbox.got and is_full else "250 taken"
+
+    def size() -> str | None:
+        return full if step == "MAIL" and mailbox.got and is_full else None
+
+    mailbox.judge, mailbox.judge_size = judge, size
+    async with Notified(bench, site(mailbox=mailbox)) as notified:
+        for number in range(4):
+            notified.raise_alarm(kind=f"kind {number}", priority=3)
+        await until(lambda: mailbox.got, "the mail to the first")
+        await quiet(notified)
+        (state,) = await notified.notifier.states()
+        assert (state.given_up, state.waiting, state.tries) == (0, 0, 0)
+        assert state.error == f"b@example.com: {full}"
+        is_full = False
+        notified.raise_alarm(asset="bench-2")
+        await until(lambda: len(mailbox.got) == 2, "the next alarm")
+    assert [to for to, _ in mailbox.got] == [["a@example.com"], ["a@example.com", "b@example.com"]]

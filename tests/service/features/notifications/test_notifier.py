@@ -6,6 +6,7 @@ import gc
 import hashlib
 import hmac
 import json
+import threading
 import time
 from dataclasses import replace
 from typing import Any
@@ -13,7 +14,7 @@ from typing import Any
 import pytest
 from alarm_bench import COLD, HOT, Bench
 from prometheus_client import CollectorRegistry
-from receivers import Hook, Mailbox
+from receivers import Hook, Mailbox, running_hook
 
 from service.alarms import AlarmBook
 from service.alarms.silencing import Silencing
@@ -23,7 +24,7 @@ from service.features.silences.tables import Silence, Silences
 from service.pauses import MeasuredCoroutine
 from service.site.configuration import SettingsError
 
-from .notified import Notified, events, quiet, site, until
+from .notified import PATIENCE_S, Notified, events, looked, quiet, site, until
 
 pytestmark = pytest.mark.wires
 
@@ -92,7 +93,7 @@ async def test_a_restart_goes_on_where_it_was(bench: Bench, hook: Hook) -> None:
         await quiet(notified)
     bench.restart()
     async with Notified(bench, site(hook)) as notified:
-        await asyncio.sleep(1.0)
+        await quiet(notified)
         assert events(hook) == [("raised", f"{alarm}:raised:1")], "sent again after a restart"
         # It returned, and was acknowledged, while the receiver was away.
         hook.refusals = [500] * 1000
@@ -106,6 +107,30 @@ async def test_a_restart_goes_on_where_it_was(bench: Bench, hook: Hook) -> None:
         assert events(hook)[1:] == [("returned", f"{alarm}:returned:1")]
     assert bench.outbox.flush(30)
     assert not bench.store.part(NotificationRecords).load()
+
+
+async def test_a_receiver_that_is_replaced_in_the_middle_of_a_post_loses_nothing(
+    bench: Bench, hook: Hook
+) -> None:
+    begun, answers = threading.Event(), threading.Event()
+
+    def judge(body: bytes) -> int:
+        begun.set()
+        assert answers.wait(PATIENCE_S)
+        return 204
+
+    hook.judge = judge
+    async with Notified(bench, site(hook)) as notified:
+        alarms = {notified.raise_alarm(kind=f"kind {number}") for number in range(3)}
+        await until(begun.is_set, "the post")
+        alarms.add(notified.raise_alarm(asset="bench-2"))
+        await looked(notified, 2)
+    answers.set()
+    bench.restart()
+    with running_hook() as other:
+        async with Notified(bench, site(other)) as notified:
+            await quiet(notified)
+        assert sorted(id for _, id in events(other)) == sorted(f"{id}:raised:1" for id in alarms)
 
 
 async def test_quiet_hours_hold_low_priorities_and_send_what_is_still_there(
@@ -201,7 +226,7 @@ async def test_another_cell_goes_on_with_what_was_sent(bench: Bench, hook: Hook)
     (one, book), (other, others) = of_fleet(), of_fleet()
     running = [asyncio.create_task(each.run()) for each in (one, other)]
     book.evaluate_all([replace(HOT, on_delay_s=0), replace(HOT, asset="bench-2", on_delay_s=0)])
-    await asyncio.sleep(1.0)
+    await asyncio.sleep(0.5)
     assert not hook.posts, "a cell sends nothing of an asset that it does not own"
     await asyncio.to_thread(one.take_over, {"bench-1", "bench-2"})
     await until(lambda: len(events(hook)) == 2, "both are sent")
@@ -215,12 +240,12 @@ async def test_another_cell_goes_on_with_what_was_sent(bench: Bench, hook: Hook)
     assert bench.outbox.flush(30)
     await asyncio.to_thread(others.take_over, ["bench-1"])
     await asyncio.to_thread(other.take_over, {"bench-1"})
-    await asyncio.sleep(1.0)
+    await asyncio.sleep(0.5)
     for held_by in (book, others):
         for asset in ("bench-1", "bench-2"):
             held_by.evaluate(replace(COLD, asset=asset, off_delay_s=0))
     await until(lambda: len(events(hook)) == 4, "both returns")
-    await asyncio.sleep(1.0)
+    await asyncio.sleep(0.5)
     assert sorted(kind for kind, _ in events(hook)) == ["raised", "raised", "returned", "returned"]
     assert len({id for _, id in events(hook)}) == 4
     for task in running:

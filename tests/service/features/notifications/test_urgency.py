@@ -1,6 +1,9 @@
 """Priority 1 stands behind nothing that a receiver did not take."""
 
 import asyncio
+import json
+import threading
+from typing import Any
 
 import pytest
 from alarm_bench import Bench
@@ -8,7 +11,7 @@ from receivers import Hook, Mailbox
 
 from service.features.notifications import mail, notification_queue
 
-from .notified import Notified, events, quiet, refuses, site, text_of, until
+from .notified import PATIENCE_S, Notified, events, looked, quiet, refuses, site, text_of, until
 
 pytestmark = pytest.mark.wires
 
@@ -41,7 +44,7 @@ async def test_priority_1_waits_for_no_back_off_of_an_earlier_message(
                 ),
                 "the urgent one",
             )
-        await asyncio.sleep(1.0)
+        await looked(notified, 5)
         texts = [text_of(message) for _, message in mailbox.got[earlier:]]
         assert len(texts) == 3, "each was tried once"
         assert low
@@ -53,17 +56,18 @@ async def test_urgent_mails_that_an_address_postpones_reach_all_once(
     bench: Bench, mailbox: Mailbox, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(mail, "_PATIENCE", 3)
-    monkeypatch.setattr(notification_queue, "RETRY_FIRST_S", 12.0)
+    monkeypatch.setattr(notification_queue, "RETRY_FIRST_S", 3600.0)
     later = mailbox.answers["b@example.com"] = ["450 greylisted"] * 99
     async with Notified(bench, site(mailbox=mailbox)) as notified:
         for number in range(6):
             notified.raise_alarm(kind=f"kind {number}", priority=1)
             await until(lambda number=number: len(mailbox.got) == number + 1, "one")  # type: ignore[misc]
         later.clear()  # as greylisting ends, after fewer tries of one message than are its patience
+        notified.raise_alarm(kind="kind 6", priority=1)  # ends the back-off
         await quiet(notified)
     for address in ("a@example.com", "b@example.com"):
         texts = "".join(text_of(m) for recipients, m in mailbox.got if address in recipients)
-        for number in range(6):
+        for number in range(7):
             assert texts.count(f"  kind {number},") == 1, (address, number)
 
 
@@ -100,3 +104,67 @@ async def test_priority_1_does_not_stand_behind_a_post_that_fails(bench: Bench, 
         hook.judge = None
         await quiet(notified)
     assert len(events(hook)) == 6
+
+
+async def test_priority_1_does_not_stand_behind_what_is_refused_one_by_one(
+    bench: Bench, hook: Hook
+) -> None:
+    refuses(hook, lambda events: 204 if any(e["alarm"]["priority"] == 1 for e in events) else 500)
+    async with Notified(bench, site(hook)) as notified:
+        for number in range(24):
+            notified.raise_alarm(kind=f"kind {number}", priority=3)
+
+        def sizes() -> list[int]:
+            return [len(json.loads(body)["events"]) for _, _, body in hook.posts]
+
+        await until(lambda: sizes().count(1) > 2, "refusals of one alarm")
+        before = len(hook.posts)
+        notified.raise_alarm(asset="bench-2")
+        await until(lambda: hook.taken, "the urgent one")
+        assert hook.posts.index(hook.taken[0]) <= before + 5
+
+
+async def test_priority_1_that_was_refused_does_not_stand_behind_a_post_that_fails(
+    bench: Bench, hook: Hook
+) -> None:
+    is_odd = True
+
+    def judge(events: list[dict[str, Any]]) -> int:
+        if any(e["alarm"]["priority"] == 3 for e in events):
+            return 503
+        return 500 if is_odd else 204
+
+    refuses(hook, judge)
+    async with Notified(bench, site(hook)) as notified:
+        urgent = notified.raise_alarm()
+        await until(lambda: hook.posts, "the refusal")
+        notified.raise_alarm(kind="low", priority=3)
+        await until(lambda: hook.posts[-1][0] == 503, "the failure of the other")
+        is_odd = False
+        await until(lambda: events(hook) == [("raised", f"{urgent}:raised:1")], "the urgent one")
+
+
+async def test_priority_1_that_comes_while_its_receiver_answers_is_tried_in_the_back_off(
+    bench: Bench, hook: Hook, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(notification_queue, "RETRY_FIRST_S", 3600.0)
+    loop = asyncio.get_running_loop()
+    raised = threading.Event()
+
+    def judge(events: list[dict[str, Any]]) -> int:
+        if all(e["alarm"]["priority"] == 1 for e in events):
+            return 204
+        if not raised.is_set():
+            loop.call_soon_threadsafe(raise_in_the_loop)
+            assert raised.wait(PATIENCE_S)
+        return 503
+
+    def raise_in_the_loop() -> None:
+        notified.raise_alarm()
+        raised.set()
+
+    refuses(hook, judge)
+    async with Notified(bench, site(hook)) as notified:
+        notified.raise_alarm(kind="low", priority=3)
+        await until(lambda: hook.taken, "the urgent one")
+        assert [status for status, _, _ in hook.posts][:2] == [503, 204]
