@@ -305,7 +305,8 @@ class NotificationQueue:
         self._refusals.note_accepted(items)
         self._backoff.reset()
         self._tried.clear()
-        self._most = min(MOST_ITEMS, 2 * self._most)
+        if len(items) >= self._most:
+            self._most = min(MOST_ITEMS, 2 * self._most)
         del self._messages[0]
         self._finish(items, rules.sent)
         _log.info("notification_sent", notification=self.section.id, alarms=len(items))
@@ -370,9 +371,9 @@ class NotificationQueue:
         return RETRY_FIRST_S if is_held else None
 
     def _halve(self, items: Sequence[Item]) -> None:
-        """Keep the first half of the first message; the other is gathered again."""
+        """Have the first message, which no address has, gathered again in smaller ones."""
         self._most = len(items) // 2
-        self._messages[0] = list(items[: self._most])
+        del self._messages[0]
         self._note_together(items)
 
     def _note_together(self, items: Sequence[Item]) -> None:

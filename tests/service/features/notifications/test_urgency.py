@@ -168,3 +168,14 @@ async def test_priority_1_that_comes_while_its_receiver_answers_is_tried_in_the_
         notified.raise_alarm(kind="low", priority=3)
         await until(lambda: hook.taken, "the urgent one")
         assert [status for status, _, _ in hook.posts][:2] == [503, 204]
+
+
+async def test_urgent_posts_that_are_too_large_go_out_in_their_order(
+    bench: Bench, hook: Hook
+) -> None:
+    refuses(hook, lambda events: 413 if len(events) > 2 else 204)
+    async with Notified(bench, site(hook)) as notified:
+        await looked(notified, 1)  # what was there at the start has an order of its own
+        alarms = [notified.raise_alarm(kind=f"kind {number}") for number in range(10)]
+        await quiet(notified)
+    assert events(hook) == [("raised", f"{id}:raised:1") for id in alarms]
