@@ -286,7 +286,7 @@ class NotificationQueue:
             rest_s = self._postpone(items)
         except DeliveryError as error:
             self.delivery.fail(str(error))
-            self._keep_for_later(is_partial=error.is_partial)
+            self._keep_for_later(items, is_partial=error.is_partial)
         except Exception as unexpected:
             # Whatever it was: it is tried again, and the service goes on.
             _log.exception("notification_failed", notification=self.section.id)
@@ -329,10 +329,11 @@ class NotificationQueue:
         self._under_way = {}
         self._keep(changed)
 
-    def _keep_for_later(self, *, is_partial: bool) -> None:
+    def _keep_for_later(self, items: Sequence[Item], *, is_partial: bool) -> None:
         """Let the first message wait; what is urgent and no address has goes with what follows."""
         if is_partial:
             self._last_s = time.monotonic()
+            self._finish(items, rules.partly_sent)
         elif len(self._messages) > 1:
             del self._messages[0]
 
@@ -358,7 +359,7 @@ class NotificationQueue:
         """
         if not self._refusals.knows_any(items):
             self._note_together(items)
-            self._keep_for_later(is_partial=False)
+            self._keep_for_later(items, is_partial=False)
             return None
         if len(items) > 1:
             self._halve(items)

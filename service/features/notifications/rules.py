@@ -76,14 +76,13 @@ def closed(notification: Notification) -> Notification:
 
 
 def _raised_again(notification: Notification, before: Alarm, selected: bool) -> Notification:
-    over = (RETURNED, ACKNOWLEDGED)
-    pending = [event for event in notification.pending if kind_of(event) not in over]
+    over, partly = (RETURNED, ACKNOWLEDGED), notification.partly
+    pending = [one for one in notification.pending if kind_of(one) not in over or one in partly]
+    unsent = {kind_of(event) for event in notification.pending if event not in partly}
     # A recipient that was not notified of the return needs no message of the next raise.
-    believed = any(kind_of(event) == RETURNED for event in notification.pending) or (
-        notification.is_notified and before.state != AlarmState.ACKED
-    )
+    believed = RETURNED in unsent or (_is_known(notification) and before.state != AlarmState.ACKED)
     number = notification.raise_number + 1
-    if selected and not believed and not any(kind_of(event) == RAISED for event in pending):
+    if selected and not believed and RAISED not in unsent:
         pending.append(f"{RAISED}:{number}")
     return replace(
         notification,
@@ -95,14 +94,25 @@ def _raised_again(notification: Notification, before: Alarm, selected: bool) -> 
     )
 
 
+def _is_known(notification: Notification) -> bool:
+    """Whether some address of the recipient knows of the alarm."""
+    last = [event for event in notification.pending if event in notification.partly][-1:]
+    return kind_of(last[0]) != RETURNED if last else notification.is_notified
+
+
+def _without_unsent_raise(notification: Notification) -> tuple[str, ...]:
+    """What is pending, without a raise that no address has."""
+    pending, partly = notification.pending, notification.partly
+    return tuple(event for event in pending if kind_of(event) != RAISED or event in partly)
+
+
 def _acknowledged(
     notification: Notification, before: Alarm, section: NotificationSection
 ) -> Notification:
     pending = notification.pending
     if notification.released_us is None and not notification.called:
         # Held back, and somebody has acknowledged it meanwhile.
-        kept = tuple(event for event in pending if kind_of(event) != RAISED)
-        return replace(notification, pending=kept)
+        return replace(notification, pending=_without_unsent_raise(notification))
     # Programs keep a state of their own, and after an escalation people wait for an answer.
     event = f"{ACKNOWLEDGED}:{notification.raise_number}"
     is_for = section.kind == "webhook" or notification.called
@@ -114,17 +124,19 @@ def _acknowledged(
 
 def _gone(notification: Notification) -> Notification:
     """Note that an alarm has returned, is over, or was set aside."""
-    raises = [event for event in notification.pending if kind_of(event) in (RAISED, ESCALATED)]
+    is_known = _is_known(notification)
+    unsent = [event for event in notification.pending if event not in notification.partly]
+    raises = [event for event in unsent if kind_of(event) in (RAISED, ESCALATED)]
     if notification.alarm.state in SET_ASIDE_STATES or (
         notification.released_us is None and raises
     ):
         # Its raise is not sent: it was held back until now, or is set aside.
-        left = notification.pending if notification.is_notified else ()  # no return without raise
-        kept = tuple(event for event in left if event not in raises)
+        gone = raises if is_known else unsent  # no return without raise
+        kept = tuple(event for event in notification.pending if event not in gone)
         notification = replace(notification, pending=kept)
         raises = []
     event = f"{RETURNED}:{notification.raise_number}"
-    if (notification.is_notified or raises) and event not in notification.pending:
+    if (is_known or raises) and event not in notification.pending:
         notification = replace(notification, pending=(*notification.pending, event))
     return notification
 
@@ -139,12 +151,31 @@ def sent(notification: Notification, events: Sequence[str]) -> Notification:
     if not is_notified and not kinds & {RAISED, ESCALATED}:
         # It was raised and returned once more meanwhile: the recipient knows nothing of either.
         pending = tuple(event for event in pending if kind_of(event) != RETURNED)
+    partly = tuple(event for event in notification.partly if event in pending)
     state = notification.alarm.state
     if is_notified and state not in ACTIVE_STATES and RETURNED not in kinds:
         pending = (*pending, f"{RETURNED}:{notification.raise_number}")
     if not is_notified and state == AlarmState.UNACK and RAISED not in kinds:
         pending = (*pending, f"{RAISED}:{notification.raise_number}")
-    return closed(replace(notification, pending=pending, is_notified=is_notified, over=False))
+    return closed(
+        replace(notification, pending=pending, is_notified=is_notified, partly=partly, over=False)
+    )
+
+
+def partly_sent(notification: Notification, events: Sequence[str]) -> Notification:
+    """Note that some addresses have events: for the others they stay pending, whatever comes.
+
+    What was dropped while they were under way is pending again, before what came since.
+    """
+    partly = tuple(dict.fromkeys((*notification.partly, *events)))
+    pending = (*partly, *(event for event in notification.pending if event not in partly))
+    kept = replace(notification, pending=pending, partly=partly, over=False)
+    if kept.alarm.state not in ACTIVE_STATES:
+        return _gone(kept)
+    unsent = {kind_of(event) for event in pending if event not in partly}
+    if _is_known(kept) or RAISED in unsent or kept.alarm.state != AlarmState.UNACK:
+        return kept
+    return replace(kept, pending=(*pending, f"{RAISED}:{kept.raise_number}"))
 
 
 def not_taken(notification: Notification, events: Sequence[str]) -> Notification:
@@ -153,7 +184,10 @@ def not_taken(notification: Notification, events: Sequence[str]) -> Notification
     pending = [event for event in notification.pending if event not in events]
     if not is_notified and not any(kind_of(event) in (RAISED, ESCALATED) for event in pending):
         pending = []
-    return closed(replace(notification, pending=tuple(pending), is_notified=is_notified))
+    partly = tuple(event for event in notification.partly if event in pending)
+    return closed(
+        replace(notification, pending=tuple(pending), is_notified=is_notified, partly=partly)
+    )
 
 
 def given_up(notification: Notification, now_us: int) -> Notification:
@@ -163,7 +197,7 @@ def given_up(notification: Notification, now_us: int) -> Notification:
     if not notification.pending or alarm.state in ACTIVE_STATES or gone_us is None:
         return notification
     if now_us - gone_us > GIVE_UP_S * MICROSECONDS:
-        return closed(replace(notification, pending=()))
+        return closed(replace(notification, pending=(), partly=()))
     return notification
 
 
@@ -199,7 +233,7 @@ def due(notification: Notification, silencing: Silencing, now_us: int) -> tuple[
     if not notification.pending or is_silenced(notification.alarm, silencing, now_us):
         return ()
     if notification.released_us is None:
-        return tuple(event for event in notification.pending if kind_of(event) != RAISED)
+        return _without_unsent_raise(notification)
     return notification.pending
 
 

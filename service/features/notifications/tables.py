@@ -52,6 +52,7 @@ class Notification(
     - ``called``: whether another notification escalated the alarm to this one.
     - ``steps``: steps of its own escalation that were taken since the alarm called.
     - ``over``: whether nothing is left to be sent; such a record is not kept.
+    - ``partly``: events of ``pending`` that some addresses have.
     """
 
     section_id: str
@@ -64,6 +65,7 @@ class Notification(
     called: bool = False
     steps: int = 0
     over: bool = False
+    partly: tuple[str, ...] = ()
 
     @property
     def key(self) -> tuple[str, str]:

@@ -8,7 +8,7 @@ from receivers import PASSWORD, Mailbox
 
 from service.features.notifications import mail, notification_queue, refusals
 
-from .notified import Notified, quiet, site, text_of, until
+from .notified import Notified, looked, quiet, site, text_of, until
 
 pytestmark = pytest.mark.wires
 
@@ -305,3 +305,21 @@ async def test_an_address_whose_text_is_always_postponed_delays_no_other_message
         notified.raise_alarm(asset="bench-2")
         await until(lambda: len(mailbox.got) == 2, "the next alarm")
     assert [to for to, _ in mailbox.got] == [["a@example.com"], ["a@example.com", "b@example.com"]]
+
+
+async def test_an_address_that_has_a_raise_learns_that_the_alarm_was_shelved(
+    bench: Bench, mailbox: Mailbox
+) -> None:
+    later = mailbox.answers["b@example.com"] = ["450 later"] * 999
+    async with Notified(bench, site(mailbox=mailbox)) as notified:
+        alarm = notified.raise_alarm(priority=3)
+        await until(lambda: mailbox.got, "the raise")
+        await until(notified.tries, "that it is known")
+        notified.book.shelve(alarm, 600, "operator")
+        await looked(notified, 2)
+        later.clear()
+        await until(lambda: "returned" in mailbox.got[-1][1]["subject"], "the return")
+        await quiet(notified)
+    for address in ("a@example.com", "b@example.com"):
+        texts = [text_of(m) for recipients, m in mailbox.got if address in recipients]
+        assert [text.split()[0] for text in texts] == ["RAISED", "RETURNED"], address

@@ -25,7 +25,10 @@ PRESENT = {AlarmEvent.RAISE: True, AlarmEvent.RETURN: False}
 
 steps = st.lists(
     st.sampled_from(
-        [*AlarmEvent, "come", "go", "hold", "release", "send", "begin", "finish", "escalate"]
+        [
+            *AlarmEvent,
+            *["come", "go", "hold", "release", "send", "begin", "finish", "part", "escalate"],
+        ],
     ),
     min_size=30,
     max_size=60,
@@ -49,6 +52,7 @@ def test_what_was_sent_is_once_and_true(
     said: list[str] = []
     calls = 0
     flight: tuple[str, ...] = ()  # under way to the receiver
+    at_first: list[str] = []  # what an address has that others may have later
 
     def release(one: Notification | None) -> Notification | None:
         if one is None or one.released_us is not None or one.over:
@@ -58,6 +62,7 @@ def test_what_was_sent_is_once_and_true(
     def begin(one: Notification | None) -> tuple[str, ...]:
         events = rules.due(one, Silencing(), now_us) if one else ()
         said.extend(events)
+        at_first.extend(event for event in events if event not in at_first)
         return events
 
     for what in [*happens, "finish", "release", "send", "send"]:
@@ -71,6 +76,11 @@ def test_what_was_sent_is_once_and_true(
             if notification and notification.released_us and alarm.state == "UNACK":
                 notification = rules.escalated(notification, notification, section.id, now_us)
                 notification = replace(notification, steps=notification.steps + 1)
+        elif what == "part":
+            if notification and not flight:
+                events = rules.due(notification, Silencing(), now_us)
+                at_first.extend(event for event in events if event not in at_first)
+                notification = rules.partly_sent(notification, events) if events else notification
         elif what not in ("send", "begin", "finish"):
             event = AlarmEvent(what)
             alarm_then = replaced(alarm, present=PRESENT.get(event, alarm.present))
@@ -99,14 +109,17 @@ def test_what_was_sent_is_once_and_true(
             assert len(set(said)) == len(said), "an event was sent twice"
             assert sum(rules.kind_of(one) == "raised" for one in said) <= calls
             knows_of_it = notification is not None and notification.is_notified
+            has_it = bool(at_first) and rules.kind_of(at_first[-1]) != "returned"
             if alarm.state == AlarmState.UNACK and not held:
                 assert knows_of_it
+                assert has_it, (at_first, said)
             elif alarm.state not in ACTIVE_STATES:
                 assert not knows_of_it, (alarm.state, said)
+                assert not has_it, (alarm.state, at_first, said)
         if notification and notification.over and not flight:
             notification = None
         if alarm.state == AlarmState.NORM and notification is None:
-            said, calls = [], 0  # the next life has another id
+            said, at_first, calls = [], [], 0  # the next life has another id
     assert notification is None or not notification.pending
 
 
@@ -150,3 +163,28 @@ def test_an_alarm_that_is_back_before_its_return_is_sent_makes_no_message() -> N
     back = rules.updated(gone, replaced(there, since_us=9), MAIL, selected=True)
     assert back is not None
     assert (back.pending, back.is_notified, back.released_us) == ((), True, 1)
+
+
+@pytest.mark.parametrize("sees", ["before", "meanwhile"])
+def test_an_address_that_knows_of_a_return_is_called_again(sees: str) -> None:
+    """Another address has neither the raise nor the return yet."""
+    alarm = replaced(NORMAL, state="UNACK", present=True, since_us=1)
+    raised = rules.updated(None, alarm, MAIL, selected=True)
+    assert raised is not None
+    raised = rules.partly_sent(replace(raised, released_us=1), raised.pending)
+    returned = rules.updated(
+        raised, replaced(alarm, state="RTNUN", present=False), MAIL, selected=True
+    )
+    assert returned is not None
+    assert returned.pending == ("raised:1", "returned:1")
+    if sees == "before":
+        returned = rules.partly_sent(returned, ["returned:1"])
+    again = rules.updated(returned, replaced(alarm, since_us=2), MAIL, selected=True)
+    assert again is not None
+    if sees == "meanwhile":
+        assert again.pending == ("raised:1",), "no address has the return"
+        again = rules.partly_sent(again, ["returned:1"])
+    assert set(again.pending) == {"raised:1", "returned:1", "raised:2"}
+    assert again.pending[-1] == "raised:2"
+    done = rules.sent(again, again.pending)
+    assert (done.pending, done.partly, done.is_notified) == ((), (), True)
