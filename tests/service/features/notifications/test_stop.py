@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 from alarm_bench import Bench
+from patience import within
 from receivers import Hook
 
 from service.features.notifications.messages import OutgoingMessage
@@ -41,7 +42,7 @@ async def test_a_cancellation_that_a_library_swallows_ends_it_all_the_same(
     queue._sender = sender = Swallowing()
     notified.raise_alarm()
     await sender.sends.wait()
-    async with asyncio.timeout(10):
+    async with within(10):
         await notified.__aexit__()
     assert sender.sent == 1
     assert not queue.notifications[next(iter(queue.notifications))].pending, "it is known as sent"
