@@ -193,6 +193,11 @@ def test_a_busy_device_keeps_its_last_good_value_as_uncertain(code: int) -> None
     assert point.evaluate(3)[:2] == (250.0, Quality.LAST_USABLE)
     # not for ever
     assert point.evaluate(2 + 5_000_001)[1] == Quality.COMM_FAILURE
+    # also where the clock was set back
+    group.store([250], 3_600_000_000)
+    point.evaluate(3_600_000_000)
+    group.fail(code, 3)
+    assert point.evaluate(3)[1] == Quality.COMM_FAILURE
     # and not across a sensor failure
     group.store([250], 4)
     point.evaluate(4)

@@ -137,7 +137,8 @@ class PolledChannel:
             if not self.last_good_us:
                 reason = "device busy, no value yet"
                 return math.nan, int(Quality.WAITING_FOR_INITIAL_DATA), kind, reason
-            if time_us - self.last_good_us > self.age_limit_us:
+            # The clock may have been set back.
+            if abs(time_us - self.last_good_us) > self.age_limit_us:
                 return self._bad(Quality.COMM_FAILURE, kind, "device busy for too long")
             return self.last_good, int(Quality.LAST_USABLE), kind, "device busy, last value kept"
         config = self.config
