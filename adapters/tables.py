@@ -145,7 +145,7 @@ def csv_table(
             f"{columns_max}: one row for each entry, not one column"
         )
     columns = [cell.strip() for cell in header]
-    broken = next((one for one in columns if len(one.splitlines()) > 1), None)
+    broken = next((one for one in columns if "\n" in one or "\r" in one), None)
     if broken is not None:  # a quoted carriage return is no end of a line of the file
         raise TableFileError(
             f"{name}: line {line}: column {shown(broken)}: a line end in its name; "

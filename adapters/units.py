@@ -36,7 +36,8 @@ _NAMES: Final = {
 }
 # What says that "(K)" behind it may be a type: NiCr-Ni is type K.
 _THERMOCOUPLE: Final = re.compile(
-    r"thermoco|thermoel|nicr|(?<![a-z])(?:t/?c|(?-i:TE)|type?)(?![a-z])", re.IGNORECASE
+    r"thermoco|thermoel|nicr|(?<![a-z])(?:(?-i:T/?C|t/?c)|type?[ -]?k|k-?type?)(?![a-z])",
+    re.IGNORECASE,
 )
 _IN_BRACKETS = re.compile(r"[\[(]([^\[\]()]*)[\])]\s*$")
 

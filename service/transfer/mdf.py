@@ -41,14 +41,14 @@ _REMOTE_MASTER: Final = 8
 _UNITS_US: Final = {
     name: unit_us
     for names, unit_us in (
-        (" s sec secs second seconds sekunde sekunden", 1e6),
-        ("ms msec msecs millisecond milliseconds millisekunden", 1e3),
-        ("us usec usecs microsecond microseconds mikrosekunden", 1.0),
+        (" s sec secs second seconds sekunde sekunden sek", 1e6),
+        ("ms msec msecs millisecond milliseconds millisekunde millisekunden", 1e3),
+        ("us usec usecs microsecond microseconds mikrosekunde mikrosekunden", 1.0),
         ("\N{MICRO SIGN}s \N{MICRO SIGN}sec", 1.0),
         ("\N{GREEK SMALL LETTER MU}s \N{GREEK SMALL LETTER MU}sec", 1.0),
-        ("ns nsec nsecs nanosecond nanoseconds nanosekunden", 1e-3),
+        ("ns nsec nsecs nanosecond nanoseconds nanosekunde nanosekunden", 1e-3),
         ("min mins minute minutes minuten", 6e7),
-        ("h hour hours stunden", 3.6e9),
+        ("h hr hrs hour hours stunde stunden", 3.6e9),
     )
     for name in names.split(" ")
 }

@@ -191,13 +191,14 @@ class Overview:
         """Whether it is known which assets there are."""
         return self._revision is not None
 
-    def names_of(self, kind: Literal["group", "family"]) -> set[str]:
+    def names_of(self, kind: Literal["group", "family"], wanted: str) -> set[str]:
         """Give the groups or the families that assets have.
 
-        Raises `CellUnavailableError` while the cell does not answer, or not all assets are read.
+        Raises `CellUnavailableError` while the cell does not answer, or where the wanted one is
+        none of them and not all assets are read.
         """
         names = {name for row in self._listing() if (name := getattr(row, kind)) is not None}
-        if not set(self.replicas.names) <= self._rows.keys():
+        if wanted not in names and not set(self.replicas.names) <= self._rows.keys():
             raise CellUnavailableError("the assets are being read")
         return names
 

@@ -26,7 +26,7 @@ def read(path: Path) -> tuple[list[Frame], str]:
     """The frames of a log, and what is said at its end."""
     frames: list[Frame] = []
     try:
-        with open_log(path) as log:
+        with open_log(path, needs_dates=True) as log:
             for one in log:
                 frames.append((one.timestamp, bytes(one.data)))
     except ConfigurationError as error:

@@ -145,6 +145,10 @@ def test_what_has_no_unit_of_ours_is_taken_as_it_is() -> None:
         ("Temperature (K)", "°C", False),
         ("Catch tank (K)", "°C", False),
         ("Typical (K)", "°C", False),
+        ("Outer ring, type-K (K)", "°C", True),
+        ("Bearing type 6205 outer ring (K)", "°C", False),
+        ("T case Tc (K)", "°C", False),
+        ("TE101 (K)", "°C", False),
         ("TC3 (K)", "N", False),
     ],
 )

@@ -12,10 +12,11 @@ from adapters.words import shown
 _DATE = re.compile(r"(date|begin\s+triggerblock)\s+(.*\S)", re.IGNORECASE)
 _MOMENT = re.compile(
     r"(?:[^\W\d]+\.?,?\s+)?(?P<month>[^\W\d]+)\.?\s+(?P<day>[0-9]{1,2})\.?\s+"
-    r"(?P<hour>[0-9]{1,2}):(?P<minute>[0-9][0-9]):(?P<second>[0-9][0-9])(?:\.(?P<fraction>[0-9]+))?"
+    r"(?P<hour>[0-9]{1,2}):(?P<minute>[0-9]{1,2}):(?P<second>[0-9]{1,2})(?:\.(?P<fraction>[0-9]+))?"
     r"(?:\s*(?P<half>[ap])m)?\s+(?P<year>[0-9]{4})",
     re.IGNORECASE,
 )
+_ISO: Final = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}[T ][0-9]{2}:[0-9]{2}:[0-9]{2}(\.[0-9]+)?")
 _MONTHS: Final = (
     *(("jan", "january", "januar"), ("feb", "february", "februar")),
     *(("mar", "march", "mär", "mrz", "märz"), ("apr", "april"), ("may", "mai")),
@@ -26,8 +27,8 @@ _MONTHS: Final = (
 #: How the reader has them.
 _ENGLISH: Final = [names[0].capitalize() for names in _MONTHS]
 _EXPECTED_DATE: Final = "expected one such as 'Fri Mar 20 08:00:00.000 2026'"
-#: An earlier one is a year of two figures.
-_FIRST_YEAR: Final = 1970
+#: West of Greenwich the epoch is in it; an earlier one is a year of two figures.
+_FIRST_YEAR: Final = 1969
 _BASE = re.compile(r"base\s", re.IGNORECASE)
 _KNOWN_BASE = re.compile(
     r"base\s+(hex|dec)(\s+timestamps\s+(absolute|relative))?\s*(//.*)?$", re.IGNORECASE
@@ -43,9 +44,14 @@ class AscText(io.TextIOBase):
     """The lines of a log.
 
     The reader takes whatever line it does not know for the end of the header, and as a part of it:
-    it gets date and base alone, and an end. It passes over a date in a form that it does not know,
-    and over both behind the first frame: `ValueError` names such a line. A last line without its
-    end may be a frame whose last byte lacks a digit: it is left out unless it is whole.
+    it gets date and base alone, and an end. It passes over both behind the first frame: where
+    frames follow that mean something else since, `ValueError` names the line. A last line without
+    its end may be a frame whose last byte lacks a digit: it is left out unless it is whole.
+
+    Parameters
+    ----------
+    needs_dates : bool
+        Whether a date in a form that is not known is refused; else times count without it.
 
     Attributes
     ----------
@@ -53,8 +59,9 @@ class AscText(io.TextIOBase):
         Whether such a line was left out, once all have been read.
     """
 
-    def __init__(self, text: TextIO) -> None:
+    def __init__(self, text: TextIO, *, needs_dates: bool) -> None:
         self.is_cut = False
+        self._needs_dates = needs_dates
         self._lines = self._read(text)
 
     def __next__(self) -> str:  # type: ignore[override]  # as that of every text does
@@ -64,6 +71,7 @@ class AscText(io.TextIOBase):
     def _read(self, text: TextIO) -> Iterator[str]:
         is_header, base = True, ("hex", "absolute")
         date: datetime | None = None
+        late = ""
         for line in text:
             stripped = line.strip()
             if is_header and _BODY.match(stripped):
@@ -76,16 +84,21 @@ class AscText(io.TextIOBase):
                 elif base != before:
                     raise _too_late(stripped)
                 continue
-            stated = _DATE.match(stripped)
-            if stated is not None:
-                before_it, date = date, _moment(stated[2])
-                is_block = stated[1].lower() != "date"
+            if stated := _DATE.match(stripped):
+                word, moment = stated[1], _moment(stated[2])
+                is_block = word.lower() != "date"
                 if is_header or is_block:
-                    month = _ENGLISH[date.month - 1]
-                    yield f"{stated[1]} Day {month} {date:%d %H:%M:%S.%f %Y}\n"
-                elif date != before_it:
-                    raise _too_late(stripped)
+                    if moment is None and self._needs_dates:
+                        raise ValueError(f"{shown(stated[2])} is no date; {_EXPECTED_DATE}")
+                    if is_header:
+                        date = moment
+                    late = ""  # a block says when its frames were
+                    yield from _as_known(word, moment, is_block=is_block)
+                elif moment is not None and moment != date:
+                    late = stripped
                 continue
+            if late and stripped[:1].isdigit():
+                raise _too_late(late)
             if is_header:
                 continue
             if not line.endswith("\n") and stripped[:1].isdigit():
@@ -103,19 +116,27 @@ def _base(line: str) -> tuple[str, str]:
     return found[1].lower(), (found[3] or "absolute").lower()
 
 
-def _moment(text: str) -> datetime:
-    """Read a date with an English or a German month. Raises `ValueError` where it is none."""
+def _as_known(word: str, moment: datetime | None, *, is_block: bool) -> Iterator[str]:
+    """Give the line of a date as the reader knows it."""
+    if moment is not None:
+        month = _ENGLISH[moment.month - 1]
+        yield f"{word} Day {month} {moment:%d %H:%M:%S.%f %Y}\n"
+    elif is_block:
+        yield f"{word}\n"
+
+
+def _moment(text: str) -> datetime | None:
+    """Read a date, with an English or a German month or as ISO 8601; None where it is none."""
     found = _MOMENT.fullmatch(text)
-    wrong = ValueError(f"{shown(text)} is no date; {_EXPECTED_DATE}")
-    if found is None:
-        raise wrong
-    month = found["month"].lower()
-    hour = int(found["hour"])
-    if found["half"] is not None:
-        if not 1 <= hour <= 12:
-            raise wrong
-        hour = hour % 12 + (12 if found["half"] in "pP" else 0)
     try:
+        if found is None:
+            date = datetime.fromisoformat(text) if _ISO.fullmatch(text) else None
+            return date if date is not None and date.year >= _FIRST_YEAR else None
+        month, hour, half = found["month"].lower(), int(found["hour"]), found["half"]
+        if half is not None:
+            if not 1 <= hour <= 12:
+                return None
+            hour = hour % 12 + (12 if half in "pP" else 0)
         number = next(k for k, names in enumerate(_MONTHS, 1) if month in names)
         microseconds = int(f"{found['fraction'] or '':0<6.6}")
         date = datetime(
@@ -123,10 +144,8 @@ def _moment(text: str) -> datetime:
             int(found["minute"]), int(found["second"]), microseconds,
         )  # fmt: skip
     except (StopIteration, ValueError):
-        raise wrong from None
-    if date.year < _FIRST_YEAR:
-        raise wrong
-    return date
+        return None
+    return date if date.year >= _FIRST_YEAR else None
 
 
 def _too_late(line: str) -> ValueError:

@@ -21,12 +21,13 @@ _DAMAGED = (ValueError, LookupError, TypeError, ArithmeticError, OSError, EOFErr
 
 
 @contextmanager
-def open_log(path: Path) -> Iterator[Iterator["can.Message"]]:
+def open_log(path: Path, *, needs_dates: bool) -> Iterator[Iterator["can.Message"]]:
     """Open a log and give its frames with their times, in seconds since the epoch.
 
     The date of an ASC file has no time zone: it counts as the local time of this machine. Without
-    a date times count from zero. Frames without a time are left out. Raises `ConfigurationError`
-    if the log cannot be read, also in the middle of it, and at the end of one that is cut.
+    a date times count from zero; ``needs_dates`` refuses one in a form that is not known. Frames
+    without a time are left out. Raises `ConfigurationError` if the log cannot be read, also in the
+    middle of it, and at the end of one that is cut.
     """
     import can
     from can.io.blf import BLFParseError
@@ -62,7 +63,7 @@ def open_log(path: Path) -> Iterator[Iterator["can.Message"]]:
         try:
             if path.suffix.lower() == ".asc":
                 file = stack.enter_context(path.open(encoding=encoding(path), errors="replace"))
-                text = AscText(file)
+                text = AscText(file, needs_dates=needs_dates)
                 log: can.io.generic.MessageReader = can.ASCReader(
                     cast("TextIO", text), relative_timestamp=False
                 )

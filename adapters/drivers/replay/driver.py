@@ -3,6 +3,7 @@
 import asyncio
 import dataclasses
 import logging
+import time
 from collections.abc import AsyncIterator, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from itertools import islice
@@ -15,15 +16,7 @@ from adapters.drivers.can.binding import bind
 from adapters.drivers.can.config import CanChannel, CanSource
 from adapters.drivers.replay.can_logs import open_log
 from adapters.drivers.replay.config import ReplayChannel, ReplaySource
-from adapters.drivers.replay.order import (
-    GAP_S,
-    ROWS_LOOKED_AT,
-    SHORT_WAIT_S,
-    Found,
-    descent,
-    said,
-    without_strays,
-)
+from adapters.drivers.replay.order import GAP_S, ROWS_LOOKED_AT, SHORT_WAIT_S, descent, said
 from adapters.drivers.replay.tables import Recording, open_recording
 from adapters.protocol import ChannelBinding, Clock, PlanBinding, SourceHealth
 from adapters.samples import Batch, Quality, Sample, is_good
@@ -41,7 +34,11 @@ FAST_BATCH_SAMPLES = 5000
 FAST_PAUSE_WALL_S = 0.05
 #: Rows that are left out in one go.
 FEW_ROWS = 200
+QUIET_S = 600.0  # wall seconds between two lines of the log about gaps
 REPEAT_PAUSE_S = 1.0  # process seconds between the end and the next beginning
+
+Event = tuple[int, list[Sample]]
+Found = Event | RowError
 
 
 class ReplayDriver:
@@ -59,6 +56,7 @@ class ReplayDriver:
         self._channels = list(channels)
         self._clock = clock
         self._health = SourceHealth(source.name, "replay")
+        self._quiet_until_s = 0.0  # wall (monotonic) time before which no further gap is logged
 
     @property
     def name(self) -> str:
@@ -121,7 +119,9 @@ class ReplayDriver:
             f"{gap_s / 3600.0:.1f} h without a row, up to {said(time_us)}: "
             f"plays on at {dated(due_us)}"
         )
-        logger.warning("source %s: %s", self.name, self._health.detail)
+        if time.monotonic() >= self._quiet_until_s:
+            self._quiet_until_s = time.monotonic() + QUIET_S
+            logger.warning("source %s: %s", self.name, self._health.detail)
 
     async def _once(self) -> AsyncIterator[Batch]:
         speed = self._source.speed
@@ -129,8 +129,7 @@ class ReplayDriver:
         latest_us: int | None = None
         waiting: list[Sample] = []
         problem: ConfigurationError | None = None
-        with _events(self._source, self._channels, self._clock) as found:
-            events = found if speed == 0.0 else without_strays(found)
+        with _events(self._source, self._channels, self._clock) as events:
             while True:
                 try:
                     event = next(events, None)
@@ -202,7 +201,7 @@ def check(
         ) from None
     if source.is_can_log:
         bind(*_as_can(source, channels))
-        with open_log(source.file) as frames:
+        with open_log(source.file, needs_dates=source.speed == 0.0) as frames:
             first = next(frames, None)
         if first is None:
             raise ConfigurationError(
@@ -232,7 +231,9 @@ def _check_order(source: ReplaySource, recording: Recording) -> None:
     times_us: list[int] = []
     with suppress(ConfigurationError):  # it is played up to where it is damaged
         for row in islice(recording.rows, ROWS_LOOKED_AT):
-            if not isinstance(row, RowError) and (row[0] >= EARLIEST_US or not recording.is_dated):
+            if isinstance(row, RowError):
+                continue
+            if not recording.is_dated or is_possible(row[0], time.time_ns() // 1000):
                 times_us.append(row[0])
     found = descent(times_us)
     if found is not None:
@@ -286,7 +287,7 @@ def _events(
 ) -> Iterator[Iterator[Found]]:
     now_us = clock.now_us()
     if source.is_can_log:
-        with open_log(source.file) as log:
+        with open_log(source.file, needs_dates=source.speed == 0.0) as log:
             yield _frames(source, channels, log, now_us)
         return
     by_column: dict[str, list[ChannelBinding]] = {}

@@ -77,7 +77,7 @@ def _require(context: Context, parameter: Literal["group", "family"], name: str 
     """Refuse a group or a family that no asset has: it has no answer."""
     if name is None:
         return
-    there = context.fleet.names_of(parameter)
+    there = context.fleet.names_of(parameter, name)
     if name not in there:
         known = listed(sorted(there)) or "none"
         raise parameter_problem(parameter, f"no {parameter} {shown(name)}; there is: {known}")

@@ -168,10 +168,11 @@ async def test_pages_hold_every_asset_once_in_the_order_of_urgency(followed: Fol
 
 async def test_groups_are_known_when_all_assets_are(followed: Followed) -> None:
     fleet = followed.fleet
-    assert fleet.names_of("group") == {"Hall A", "Hall B"}
+    assert fleet.names_of("group", "Hall 9") == {"Hall A", "Hall B"}
     followed.replicas.names = {*followed.replicas.names, "late"}
     with pytest.raises(CellUnavailableError, match="being read"):
-        fleet.names_of("family")
+        fleet.names_of("group", "Hall 9")
+    assert "Hall A" in fleet.names_of("group", "Hall A")
 
 
 async def test_the_map_has_a_letter_for_each_asset_in_the_order_of_ids(followed: Followed) -> None:
