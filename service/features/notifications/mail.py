@@ -31,7 +31,8 @@ _NO_SMTPUTF8: Final = (553, "the mail server takes no such name (it has no SMTPU
 _FAILED: Final = 450  # in place of an answer that did not come
 #: Times that an address is refused for the time being until the others wait for it no longer.
 _PATIENCE: Final = 9
-_EVENTS: Final = 2000  # of which it is known to whom they went
+#: Events of which it is known to whom they went; more than can wait while an address lacks them.
+_EVENTS: Final = 50_000
 
 
 @dataclass(slots=True)
@@ -132,7 +133,7 @@ class EmailSender:
                 async with asyncio.timeout(WHOLE_S):
                     answers |= await self._send_to(client, message, others, delivery)
             except (aiosmtplib.SMTPException, OSError, TimeoutError, ValueError) as error:
-                if not (plain or delivery.is_taken):
+                if not delivery.is_taken and (not plain or _may_be_for_its_size(error)):
                     raise
                 answer = (getattr(error, "code", _FAILED), reason(error))
                 answers |= dict.fromkeys(others, answer)

@@ -266,7 +266,8 @@ class NotificationQueue:
         left = []
         for item in message:
             if notification := self._pending.get(item.alarm.id):
-                due = rules.due(notification, silencing, now_us)
+                # What some addresses have the others get, too, whatever is silenced since.
+                due = {*rules.due(notification, silencing, now_us), *notification.partly}
                 if events := tuple(event for event in item.events if event in due):
                     left.append(Item(notification, events))
         return left
@@ -355,8 +356,10 @@ class NotificationQueue:
     def _postpone(self, items: Sequence[Item]) -> float | None:
         """Halve the first message when it is postponed again, and let one alarm alone wait.
 
-        None is given up for it. Gives wall seconds of rest, None for those of the back-off.
+        No alarm is given up for it. Gives wall seconds of rest, None for those of the back-off.
         """
+        # In parts it is tried again soon: others in it may be taken.
+        self._tried.difference_update(event for item in items for event in item.event_ids)
         if not self._refusals.knows_any(items):
             self._note_together(items)
             self._keep_for_later(items, is_partial=False)
@@ -366,10 +369,9 @@ class NotificationQueue:
             return RETRY_FIRST_S
         (item,) = items
         del self._messages[0]
-        is_held = self._refusals.holds(item)
         if item.alarm.id in self._pending:
             self._refusals.note_alone(item, is_final=False)
-        return RETRY_FIRST_S if is_held else None
+        return RETRY_FIRST_S
 
     def _halve(self, items: Sequence[Item]) -> None:
         """Have the first message, which no address has, gathered again in smaller ones."""

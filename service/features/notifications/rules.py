@@ -180,7 +180,7 @@ def partly_sent(notification: Notification, events: Sequence[str]) -> Notificati
 
 def not_taken(notification: Notification, events: Sequence[str]) -> Notification:
     """Drop events that the recipient does not take, and what makes no sense without them."""
-    is_notified = notification.is_notified and RETURNED not in map(kind_of, events)
+    is_notified = _is_known(notification) and RETURNED not in map(kind_of, events)
     pending = [event for event in notification.pending if event not in events]
     if not is_notified and not any(kind_of(event) in (RAISED, ESCALATED) for event in pending):
         pending = []

@@ -10,6 +10,7 @@ from alarm_bench import Bench
 from receivers import Hook, Mailbox
 
 from service.features.notifications import mail, notification_queue
+from service.features.silences.tables import Silence, Silences
 
 from .notified import PATIENCE_S, Notified, events, looked, quiet, refuses, site, text_of, until
 
@@ -179,3 +180,42 @@ async def test_urgent_posts_that_are_too_large_go_out_in_their_order(
         alarms = [notified.raise_alarm(kind=f"kind {number}") for number in range(10)]
         await quiet(notified)
     assert events(hook) == [("raised", f"{id}:raised:1") for id in alarms]
+
+
+async def test_priority_1_waits_for_no_odd_one_that_came_with_it(
+    bench: Bench, mailbox: Mailbox, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(notification_queue, "RETRY_FIRST_S", 3600.0)
+    monkeypatch.setattr(notification_queue, "RETRY_LAST_S", 3600.0)
+    mailbox.answers = {"b@example.com": ["450 greylisted"] * 99}
+    mailbox.judge = lambda message: "451 later" if "odd," in text_of(message) else "250 ok"
+    async with Notified(bench, site(mailbox=mailbox)) as notified:
+        notified.raise_alarm(kind="kind 0", priority=1)
+        await until(notified.tries, "the back-off")
+        notified.raise_alarm(kind="odd", priority=1)
+        notified.raise_alarm(kind="right", priority=1)
+        await until(lambda: "right," in text_of(mailbox.got[-1][1]), "the right one")
+
+
+async def test_a_silence_while_an_address_lacks_a_mail_doubles_it_for_no_other(
+    bench: Bench, mailbox: Mailbox, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(mail, "_PATIENCE", 1000)
+    monkeypatch.setattr(notification_queue, "RETRY_LAST_S", 0.1)
+    later = mailbox.answers["b@example.com"] = ["450 greylisted"] * 9999
+    async with Notified(bench, site(mailbox=mailbox)) as notified:
+        notified.raise_alarm(priority=3, kind="kind 0")
+        await until(lambda: mailbox.got, "the mail to a")
+        now_us = bench.clock.us
+        silence = Silence("s", ("bench-1",), now_us, now_us + 60_000_000, "engineer", "greasing")
+        bench.store.part(Silences).add(silence, now_us)
+        await until(lambda: notified.parts[0].covers("bench-1", now_us + 1), "the silence")
+        await looked(notified, 3)
+        notified.raise_alarm(priority=3, kind="kind 1", asset="bench-2")
+        bench.clock.advance(3600)
+        await looked(notified, 3)
+        later.clear()
+        await quiet(notified)
+    for address in ("a@example.com", "b@example.com"):
+        texts = "".join(text_of(m) for recipients, m in mailbox.got if address in recipients)
+        assert [texts.count(f"kind {number},") for number in range(2)] == [1, 1], address
