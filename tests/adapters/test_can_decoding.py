@@ -210,6 +210,7 @@ def test_a_message_that_cannot_be_read_for_certain_is_refused_by_name_where_it_i
     assert all(shown[name] != "no frame came" for name in names)
 
 
+NO_LENGTH = "The signal T length 0 is not greater than 0 in message X."
 RIGHT = 'BO_ 518 Right: 8 A\n SG_ T : 0|8@1+ (1,0) [0|0] "" A\nVAL_ 518 T 255 "error" ;\n'
 X = 'BO_ 4096 X: 8 A\n SG_ T : 0|8@1+ (1,0) [0|0] "" A\nVAL_ 4096 T 1 "a; \\"b\\"" ;\n'
 
@@ -217,9 +218,20 @@ X = 'BO_ 4096 X: 8 A\n SG_ T : 0|8@1+ (1,0) [0|0] "" A\nVAL_ 4096 T 1 "a; \\"b\\
 @pytest.mark.parametrize(
     ("others", "flaw"),
     [
-        (X, "its standard identifier 0x1000 has more than 11 bits"),
-        ('BO_ 513 X: 8 A\n SG_ T : 0|0@1+ (1,0) [0|0] "" A\n', "signal 'T' has no length"),
-        ('BO_ 513 X: 8 A\n SG_ T m1 : 8|0@1+ (1,0) [0|0] "" A\n', "signal 'T' has no length"),
+        (X, "Standard frame id 0x1000 is more than 11 bits in message X."),
+        (
+            'BO_ 513 X: 8 A\n SG_ T : 0|0@1+ (1,0) [0|0] "" A\n',
+            NO_LENGTH,
+        ),
+        (
+            'BO_ 513 X: 8 A\n SG_ T m1 : 8|0@1+ (1,0) [0|0] "" A\n',
+            NO_LENGTH,
+        ),
+        (
+            f'BO_ {0x18FF2080 | 1 << 31} X: 8 A\n SG_ T : 0|0@1+ (1,0) [0|0] "" A\n'
+            f'VAL_ {0x18FF2080 | 1 << 31} T 1 "a" ;\nSIG_VALTYPE_ {0x18FF2080 | 1 << 31} T : 1;\n',
+            NO_LENGTH,
+        ),
         ('VAL_ 518 Gone 0 "a;" 1 "b"\n 2 "c" ;\nVAL_ 999 Gone 0 "a" ;\n', ""),
         ("SIG_VALTYPE_ 518 Gone : 1;\n", ""),
         ('BA_ "Nowhere" BO_ 518 "VAL_ 518 T 1;";\n', ""),
@@ -235,6 +247,17 @@ def test_a_flaw_of_what_no_channel_reads_refuses_nothing(
     assert bound.decode(bytes([255, *[0] * 7]), 2)[0].quality == Quality.SENSOR_FAILURE
     with pytest.raises(ConfigurationError, match=f"message 'X' .*{flaw}"):
         bind(file, [channel("c", message="X", signal="T")])
+
+
+def test_what_is_left_out_for_a_flaw_changes_nothing_else(tmp_path: Path) -> None:
+    """Receivers on a line of their own, numbers with zeros before them: the types still count."""
+    text = (
+        'BO_ 518 M: 8 A\n SG_ S : 0|32@1+ (1,0) [0|0] ""\n  A,\n  B\n'
+        ' SG_ T : 32|32@1+ (1,0) [0|0] "" A\nSIG_VALTYPE_ 0518 T : 1;\nVAL_ 518 Gone 0 "a" ;\n'
+    )
+    file = source(dbc=described(tmp_path, text))
+    (bound,) = bind(file, [channel("c", message="M", signal="T")]).values()
+    assert bound.decode(struct.pack("<If", 7, 61.5), 1)[0].value == 61.5
 
 
 def test_each_message_of_a_large_file_is_examined_once(

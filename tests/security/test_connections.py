@@ -139,7 +139,7 @@ UPGRADE = (
         (b"Cookie: " + b"a" * 50_000 + b"\r\n", b"101"),
         (b"".join(b"X-%d: 1\r\n" % number for number in range(130)), b"101"),
         (b"Cookie: " + b"a" * 70_000 + b"\r\n", b"431"),
-        # What would keep the event loop busy, for whoever asks.
+        # What would keep the event loop busy, from any caller.
         (b"".join(b"X-%d: 1\r\n" % number for number in range(300)), b"431"),
         (b"Connection: " + b"a," * 20_000 + b"upgrade\r\n", b"400"),
         (b"Sec-WebSocket-Protocol: " + b"a," * 20_000 + b"b\r\n", b"400"),

@@ -4,13 +4,12 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TypeVar
 
-import cantools.database
 from cantools.database.can import Database, Message, Signal
 from cantools.errors import Error as CantoolsError
 
 from adapters.configuration import ConfigurationError, suggestion
 from adapters.drivers.can.config import CanChannel, CanSource
-from adapters.drivers.can.dbc_text import readable
+from adapters.drivers.can.dbc_text import load
 from adapters.drivers.can.senders import group_mask, is_j1939
 from adapters.words import one_line
 
@@ -78,27 +77,17 @@ def load_dbc(source: CanSource) -> DbcFile:
     A message that contradicts itself refuses the file only where it is asked for.
     """
     where = f"source {source.name!r}: dbc {str(source.dbc)!r}"
-    flaws: Mapping[str, str] = {}
     try:
-        text = source.dbc.read_text(_ENCODING, errors="replace")
-        try:
-            database = _database(text)
-        except (CantoolsError, ValueError, KeyError):
-            text, flaws = readable(text)
-            database = _database(text)
+        database, flaws = load(source.dbc.read_text(_ENCODING, errors="replace"))
     except OSError as error:
         raise ConfigurationError(f"{where} cannot be read: {error.strerror or error}") from None
-    except (CantoolsError, ValueError, KeyError) as error:
+    except (CantoolsError, ValueError) as error:
         raise ConfigurationError(
             f"{where} is not a valid DBC file: {one_line(error)[:200]}"
         ) from None
     if not isinstance(database, Database):
         raise ConfigurationError(f"{where} is not a CAN database")
     return DbcFile(str(source.dbc), database.messages, flaws)
-
-
-def _database(text: str) -> object:
-    return cantools.database.load_string(text, database_format="dbc", strict=False)
 
 
 def find_signal(message: Message, config: CanChannel, where: str) -> Signal:

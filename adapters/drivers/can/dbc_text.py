@@ -1,60 +1,59 @@
-"""What of a DBC file has to be left out before the library reads the rest.
+"""Reads a DBC file without that for which the library refuses it, though no channel may read it.
 
-It refuses a whole file for a message that cannot be, and for what is said of signals, messages and
-attributes that are not there (a signal was removed by hand, its value table was not).
+It refuses a whole file for a message that cannot be, and for what is said of signals and attributes
+that are not there (a signal was removed by hand, its value table was not). Only what its refusal
+names is left out: nothing else of the file gets another meaning.
 """
 
 import re
-from collections import defaultdict
-from collections.abc import Callable, Mapping
-from typing import Final, NamedTuple
+from collections.abc import Mapping
+from typing import Final
 
-_MESSAGE: Final = re.compile(
-    r"^BO_[ \t]+(\d+)[ \t]+([^\s:]+)[ \t]*:.*\n?((?:[ \t]*SG_[ \t].*\n?|[ \t]*\n)*)", re.MULTILINE
-)
-_SIGNAL: Final = re.compile(r"^[ \t]*SG_[ \t]+(\S+).*?:[ \t]*\d+\|(\d+)@", re.MULTILINE)
-_TO_ITS_END: Final = r'(?:[^";]|"(?:\\.|[^"\\])*")*;[ \t]*\n?'
-_OF_A_SIGNAL: Final = re.compile(
-    rf"^(?:VAL_|SIG_VALTYPE_)[ \t]+(\d+)[ \t]+(\w+)\b{_TO_ITS_END}", re.MULTILINE
-)
-_ATTRIBUTE: Final = re.compile(rf'^BA_[ \t]+"([^"]*)"{_TO_ITS_END}', re.MULTILINE)
-_ATTRIBUTE_NAMES: Final = re.compile(
-    r'^BA_DEF_(?:[ \t]+(?:BU_|BO_|SG_|EV_))?[ \t]+"([^"]*)"', re.MULTILINE
-)
-_EXTENDED: Final = 1 << 31
-_LAST_STANDARD: Final = 0x7FF
+import cantools.database
+from cantools.database.errors import UnsupportedDatabaseFormatError
+
+from adapters.words import one_line
+
+#: Each costs a reading of the file; one that names more is not worth it.
+_REFUSALS_MAX: Final = 20
+_IN_MESSAGE: Final = re.compile(r" in message (\S+)\.$")
+_OF_A_SIGNAL: Final = re.compile(r"^\s*(VAL_|SIG_VALTYPE_) (\d+) (\S+)$", re.MULTILINE)
+_TO_ITS_END: Final = r'(?:[^";]|"(?:\\.|[^"\\])*")*;'
 
 
-class ReadableText(NamedTuple):
-    """The text that can be read, and why messages that are not in it cannot, by their names."""
+def load(text: str) -> tuple[object, Mapping[str, str]]:
+    """Read a DBC file; gives also why messages are left out, by their names.
 
-    text: str
-    flaws: Mapping[str, str]
-
-
-def readable(text: str) -> ReadableText:
-    """Leave out the messages that cannot be, and what is said of nothing in the file."""
+    Raises `UnsupportedDatabaseFormatError` where the library still refuses it.
+    """
     flaws: dict[str, str] = {}
-    signals: defaultdict[str, set[str]] = defaultdict(set)
-
-    def message(found: re.Match[str]) -> str:
-        number, name, body = found.groups()
-        lengths = dict(_SIGNAL.findall(body))
-        without = [signal for signal, length in lengths.items() if not int(length)]
-        if not int(number) & _EXTENDED and int(number) > _LAST_STANDARD:
-            flaws[name] = f"its standard identifier {int(number):#x} has more than 11 bits"
-        elif without:
-            flaws[name] = f"signal {without[0]!r} has no length"
-        else:
-            signals[number] |= lengths.keys()
-            return found[0]
-        return ""
-
-    text = _MESSAGE.sub(message, text)
-    known = set(_ATTRIBUTE_NAMES.findall(text))
-    text = _OF_A_SIGNAL.sub(_kept_if(lambda found: found[2] in signals[found[1]]), text)
-    return ReadableText(_ATTRIBUTE.sub(_kept_if(lambda found: found[1] in known), text), flaws)
+    for _ in range(_REFUSALS_MAX):
+        try:
+            return _database(text), flaws
+        except UnsupportedDatabaseFormatError as error:
+            left = _without(text, error.e_dbc, flaws)
+            if left == text:
+                raise
+            text = left
+    return _database(text), flaws
 
 
-def _kept_if(is_known: Callable[[re.Match[str]], bool]) -> Callable[[re.Match[str]], str]:
-    return lambda found: found[0] if is_known(found) else ""
+def _database(text: str) -> object:
+    return cantools.database.load_string(text, database_format="dbc", strict=False)
+
+
+def _without(text: str, error: Exception | None, flaws: dict[str, str]) -> str:
+    """Leave out what a refusal names, and note the message that it names."""
+    said = str(error)
+    if isinstance(error, KeyError):  # an attribute that is nowhere defined
+        statement = rf'^BA_[ \t]+"{re.escape(str(error.args[0]))}"{_TO_ITS_END}'
+        return re.sub(statement, "", text, flags=re.MULTILINE)
+    if named := _IN_MESSAGE.search(said):
+        name = named[1]
+        block = rf"^BO_[ \t]+\d+[ \t]+{re.escape(name)}[ \t]*:.*\n?(?:[ \t]*(?:SG_[ \t].*)?\n)*"
+        flaws[name] = one_line(error)[:200]
+        return re.sub(block, "", text, flags=re.MULTILINE)
+    for kind, number, signal in _OF_A_SIGNAL.findall(said):
+        statement = rf"^{kind}[ \t]+{number}[ \t]+{re.escape(signal)}\b{_TO_ITS_END}"
+        text = re.sub(statement, "", text, flags=re.MULTILINE)
+    return text

@@ -173,7 +173,7 @@ class NotificationQueue:
         self._wake.clear()
 
     async def _rest(self, rest_s: float) -> None:
-        """Try nothing again for a while; what is urgent and new is tried once by itself.
+        """Try nothing again for a while; what is urgent and new is tried once alone.
 
         Ends early when that is accepted: the receiver takes messages again.
         """
