@@ -23,12 +23,12 @@ export class FleetChoice {
 
   /** Learn which groups there are. */
   learn(assets) {
-    this.groups = [...new Set(assets.map(groupOf).filter(Boolean))].sort();
+    this.groups = new Set(assets.map(groupOf).filter(Boolean).sort());
   }
 
   /** A group that is gone, such as that of an old link, hides no asset. */
   get group() {
-    return this.groups.includes(this.wantedGroup) ? this.wantedGroup : '';
+    return this.groups.has(this.wantedGroup) ? this.wantedGroup : '';
   }
 
   get text() {
@@ -71,7 +71,7 @@ export class FleetBar extends Panel {
           class: counts[state] ? '' : 'mut',
           onclick: () => this.choose({ state: choice.state === state ? '' : state }) },
         icon(symbol[0], symbol[1], '1.3em'), ' ', v('b', {}, (counts[state] ?? 0).toLocaleString('en')), text))),
-      groups.length > 0 && select('Group', [['', 'all groups'], ...groups.map((group) => [group, group])], choice.group,
+      groups.size > 0 && select('Group', [['', 'all groups'], ...[...groups].map((group) => [group, group])], choice.group,
         (wantedGroup) => this.choose({ wantedGroup })),
       search('Search assets', (typed) => this.choose({ typed }),
         { placeholder: 'Search', value: choice.typed, maxlength: 200 }), gap(),
